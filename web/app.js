@@ -196,7 +196,7 @@ function entitle() {
 
 // What the button of a need does, where a page can do it.
 const DOES = {
-  reset: () => actor('Reset', said, () => mend('reset')), home: () => actor('Home', said, () => mend('home'), { sure: sureHome }),
+  reset: () => actor('Reset', said, () => mend('reset')), home: () => actor('Home', said, () => mend('home'), { sure: sureHome, done: 'accepted' }),
   weights: ({ page }) => link(`/${page}`, 'Go to the weights'), start: ({ page }) => link(`/${page}`, 'Go to the queue'),
 }
 const DANGERS = ['not_stopped', 'tips_not_raised', 'reset']

@@ -30,7 +30,7 @@ function forbidden(action, status, fresh) {
   if (!fresh) return 'No connection.'
   if (!live.may('operator')) return 'It needs the role operator.'
   // A held button requests the next jog before the status shows the end of the one before.
-  if (live.motion && action !== 'jog') return 'The rig moves: wait for its end, or stop it.'
+  if (live.motion && action !== 'jog') return 'The rig moves.'
   const words = refusal(status, action)
   return lockWords() || words && `${capital(words)}.`
 }
@@ -41,7 +41,7 @@ export async function show(root, { query, signal, set }) {
   const said = outcome(), saidTips = outcome(), saidCheck = outcome(), links = chain()
   const head = el('p', { className: 'state' }), sentence = el('p'), acts = el('ul', { className: 'acts' }), pose = el('div'),
     copy = el('pre', { tabIndex: 0 }), limits = el('div'), trip = el('div', { className: 'trip', hidden: true })
-  const halt = actor('Stop this motion', said, endMotion, { role: 'viewer', className: 'danger', title: 'The axes stop, then the tips rise' })
+  const halt = actor('Stop this motion', said, endMotion, { role: 'viewer', done: 'accepted', className: 'danger', title: 'The axes stop, then the tips rise' })
   const bars = forceBars({ signal })
   const may = action => live.status ? forbidden(action, live.status, live.fresh) : 'No status yet.'
   const pad = jog({ allowed: () => may('jog'), steps: () => state.steps, signal,
@@ -51,7 +51,7 @@ export async function show(root, { query, signal, set }) {
     } })
 
   const rows = ACTIONS.map(([action, words, about]) => {
-    const why = el('span', { className: 'soft' }), one = actor(words, said, () => actOnRig(action), action === 'home' ? { sure: sureHome } : {})
+    const why = el('span', { className: 'soft' }), one = actor(words, said, () => actOnRig(action), action === 'home' ? { sure: sureHome, done: 'accepted' } : {})
     return { action, about, why, one, node: el('li', {}, one, why) }
   })
   fill(acts, rows.map(row => row.node))

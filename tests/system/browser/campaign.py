@@ -232,7 +232,7 @@ def motion(page, _browser):
         state(page, "Rig disarmed, homing")
     # Nobody is asked whether it may stop.
     pressed(page, "Stop this motion")
-    said(page, "Stop this motion: done.")
+    said(page, "Stop this motion: accepted.")
     expect(halt).to_be_hidden()
     state(page, re.compile("disarmed$"))
     now = until("the safe end", lambda: (now := rig())["safe_end"] and now)
