@@ -77,9 +77,20 @@ def first_evening(page, _browser):
     expect(page.get_by_role("link", name="Open this trial")).to_be_visible(timeout=LIMIT_MS)
     page.get_by_role("link", name="Open this trial").click()
     expect(page).to_have_url(re.compile("/trials[?]trial="), timeout=LIMIT_MS)
+    twins_not_read(page)
     runs_by_conditions(page)
     fit_by_keys(page)
     contacts_by_mouse(page)
+
+
+def twins_not_read(page):
+    """What is not read is not shown as none."""
+    page.route("**/api/v1/twins", lambda route: route.abort())
+    page.goto(URL)
+    twins = page.locator("dl.facts > div").filter(has=page.locator("dt", has_text="Twins")).locator("dd")
+    expect(twins).to_have_text("not read yet", timeout=LIMIT_MS)
+    page.unroute("**/api/v1/twins")
+    expect(twins).to_have_text(re.compile("to do"), timeout=LIMIT_MS)
 
 
 def runs_by_conditions(page):
