@@ -11,7 +11,9 @@ use tokio::sync::OwnedMutexGuard;
 use tokio::task::JoinSet;
 use tokio::time::Instant;
 
-use super::{Answer, Connection, Engine, JUST_MOVED, Owed, no_stage, no_wires, trip_of};
+use super::{
+    Answer, Connection, Engine, JUST_MOVED, NO_JOG_AFTER_ABORT, Owed, no_stage, no_wires, trip_of,
+};
 use crate::campaign::bench::estop::AxisStop;
 use crate::campaign::bench::interlock::{self, Trip, TripKind};
 use crate::campaign::bench::rig_state::RigEvent;
@@ -92,6 +94,7 @@ impl Engine {
             }
             Request::AbortMotion => {
                 if self.moved_at.is_some_and(|at| at.elapsed() <= JUST_MOVED) {
+                    self.aborted_at = Some(Instant::now());
                     self.control.attended(ABORTED_LATE);
                 }
                 Err(Refusal::State("abort is not possible: nothing moves".into()))
@@ -397,10 +400,16 @@ impl Engine {
         let requested = self.control.leaving() || matches!(halt, Halt::Asked);
         let trip = (!requested).then(|| trip_of(&halt));
         self.make_safe(trip.as_ref(), Height::Clear).await;
+        self.aborted_at = requested.then(Instant::now);
         false
     }
 
     fn jog_target(&self, axis: &str, to_mm: f64) -> Result<Target, Refusal> {
+        if self.aborted_at.is_some_and(|at| at.elapsed() <= NO_JOG_AFTER_ABORT) {
+            let within_s = NO_JOG_AFTER_ABORT.as_secs();
+            let words = format!("jog is not possible within {within_s} s of an abort");
+            return Err(Refusal::Busy(words));
+        }
         let stage = self.stage().ok_or_else(no_wires)?;
         let axes = &stage.config.axes;
         let slot = &stage.config.slot;

@@ -371,13 +371,18 @@ async fn a_homing_and_a_jog_are_shown_until_they_end() {
     // It moves until it is stopped.
     *axes.x.after_start.lock() = Some(AxisStatus { moving: true, ..axes.x.present() });
     let jog = async {
-        handle.ask(Request::Jog { axis: "x".into(), to_mm: 100.0 }).await.unwrap();
+        let further = || handle.ask(Request::Jog { axis: "x".into(), to_mm: 100.0 });
+        further().await.unwrap();
         drop(status.wait_for(|status| status.rig.motion == Some(Motion::Jog)).await.unwrap());
         handle.ask(Request::AbortMotion).await.unwrap();
-        let ends = status.wait_for(|status| status.rig.motion.is_none());
-        ends.await.unwrap().rig.trip.clone()
+        axes.x.status.lock().moving = false;
+        drop(status.wait_for(|status| status.rig.motion.is_none()).await.unwrap());
+        drop(status.wait_for(|status| status.rig.safe_end.is_some()).await.unwrap());
+        further().await
     };
-    assert_eq!(answered(&mut engine, jog).await, None, "it is aborted");
+    let words = "jog is not possible within 5 s of an abort".to_owned();
+    assert_eq!(answered(&mut engine, jog).await, Err(Refusal::Busy(words)));
+    assert_eq!(engine.control.inbox.status.borrow().rig.trip, None);
 }
 
 #[tokio::test]
@@ -389,6 +394,10 @@ async fn an_abort_while_nothing_moves_holds_the_queue_only_if_a_motion_has_just_
     engine.home().await;
     let before = signs(&engine);
     assert_eq!((answered(&mut engine, abort()).await, signs(&engine)), (refused, before + 1));
+    // Of a button that is held: its jogs are shorter than the pauses between them.
+    let jog = handle.ask(Request::Jog { axis: "x".into(), to_mm: 100.0 });
+    let words = "jog is not possible within 5 s of an abort".to_owned();
+    assert_eq!(answered(&mut engine, jog).await, Err(Refusal::Busy(words)));
 }
 
 #[tokio::test]
