@@ -8,7 +8,7 @@ import { clock, listed, moment, momentBand, percent, plain, span, steadyCountOf 
 import { steadyEnds } from './lib/eta.js'
 import { live, start } from './lib/live.js'
 import { READ_KEYS } from './lib/readkeys.js'
-import { stateWords } from './lib/runwords.js'
+import { stateWords, withMotion } from './lib/runwords.js'
 import { readVocabulary } from './lib/vocabulary.js'
 import { TONE } from './lib/words.js'
 import { FIRST, PAGES } from './pages.js'
@@ -172,12 +172,12 @@ function etaWords(run, at) {
   if (!['running', 'pausing'].includes(run.state)) return `about ${span(run.eta.remaining_s)} to go`
   return `done about ${momentBand(...steadyEnds(run, at), run.eta.high_s < 900)}`
 }
-live.on('status', ({ status, at }) => {
+live.on('status', ({ status, at, motion }) => {
   const { rig, run } = status
   stopState(status)
   $('virtual').hidden = rig.label !== 'virtual'
   say($('rig-name'), rig.name)
-  say($('bar-state'), run ? `${stateWords(run)} · ${run.experiment}` : `Rig ${plain(rig.state)}`)
+  say($('bar-state'), run ? `${withMotion(stateWords(run), motion)} · ${run.experiment}` : `Rig ${withMotion(plain(rig.state), motion)}`)
   $('bar-state').className = `bar-state ${TONE[run?.state ?? rig.state] ?? ''}`
   say($('bar-count'), run ? steadyCountOf(run.trials_stored, run.trials_planned) : '')
   $('bar-count').title = run ? percent(run.trials_stored, run.trials_planned) : ''
@@ -188,15 +188,15 @@ live.on('status', ({ status, at }) => {
 
 /** The title of the tab: what the rig does, but never an old state as if it were the present one. */
 function entitle() {
-  const { fresh, why, status } = live, { run, rig } = status ?? {}
-  const state = !fresh ? why && (/^No status/.test(why) ? 'No status' : 'No connection') : run ? `${run.state} ${percent(run.trials_stored, run.trials_planned)}` : plain(rig.state)
+  const { fresh, why, status, motion } = live, { run, rig } = status ?? {}
+  const state = !fresh ? why && (/^No status/.test(why) ? 'No status' : 'No connection') : run ? `${run.state} ${percent(run.trials_stored, run.trials_planned)}` : withMotion(plain(rig.state), motion)
   const title = listed([state, PAGES.find(page => page.name === document.body.dataset.page)?.title ?? 'Unknown page', 'Palpate'], ' · ')
   if (document.title !== title) document.title = title
 }
 
 // What the button of a need does, where a page can do it.
 const DOES = {
-  reset: () => actor('Reset', said, () => mend('reset')), home: () => actor('Home', said, () => mend('home'), { sure: sureHome }),
+  reset: () => actor('Reset', said, () => mend('reset')), home: () => actor('Home', said, () => mend('home'), { sure: sureHome, done: 'accepted' }),
   weights: ({ page }) => link(`/${page}`, 'Go to the weights'), start: ({ page }) => link(`/${page}`, 'Go to the queue'),
 }
 const DANGERS = ['not_stopped', 'tips_not_raised', 'reset']

@@ -300,7 +300,7 @@ pub async fn estop(args: &ActArgs) -> CliResult<()> {
 
 fn status_words(status: &StatusView, twins: &Value, workers: Option<String>) -> String {
     let rig = &status.rig;
-    let (label, state) = (rig.label.as_str(), rig.state.as_str());
+    let (label, state) = (rig.label.as_str(), rig.state_words());
     let mut lines = status.answers();
     lines.push(format!("rig      {} ({label}): {state}", rig.name));
     lines.extend(rig.safe_end.as_ref().map(safe_end_words));

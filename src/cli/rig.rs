@@ -367,7 +367,7 @@ fn rig_words(status: &StatusView) -> String {
         let (x, y, z, r) = (p.x_mm, p.y_mm, p.z_mm, p.radius_mm);
         format!(", at x {x:.2}  y {y:.2}  z {z:.2}  radius {r:.2} mm")
     });
-    format!("rig {} ({}): {}{pose}", rig.name, rig.label.as_str(), rig.state.as_str())
+    format!("rig {} ({}): {}{pose}", rig.name, rig.label.as_str(), rig.state_words())
 }
 
 #[cfg(test)]

@@ -14,7 +14,7 @@ use crate::campaign::bench::rig_state::RigState;
 use crate::campaign::bench::stopping::StoppingDistance;
 use crate::campaign::shown::run_action::ActionOnRun;
 use crate::campaign::shown::safe_end::{self, SafeEnd};
-use crate::campaign::shown::status::{Eta, Phase, Wanted};
+use crate::campaign::shown::status::{Eta, Motion, Phase, Wanted};
 use crate::conductor::Started;
 use crate::event::{self, Importance};
 use crate::ids::{RunUid, TrialKey};
@@ -143,6 +143,8 @@ pub struct RigView {
     pub has_stage: bool,
     /// State of the rig.
     pub state: RigState,
+    /// Homing or jog in progress; absent from an older service.
+    pub motion: Option<Motion>,
     /// Latched trip, if any.
     pub trip: Option<Trip>,
     /// Process seconds per wall second.
@@ -166,6 +168,12 @@ pub struct RigView {
 }
 
 impl RigView {
+    /// State of the rig, with the homing or jog in progress, as text.
+    pub fn state_words(&self) -> String {
+        let motion = self.motion.map(|motion| format!(", {}", motion.as_str()));
+        format!("{}{}", self.state.as_str(), motion.unwrap_or_default())
+    }
+
     /// The largest force on a tip, N.
     pub fn max_force_n(&self) -> Option<f64> {
         self.forces_n.iter().copied().flatten().reduce(f64::max)
@@ -335,6 +343,18 @@ mod tests {
         };
         assert_eq!(glance("on_time", "good"), ("on time".into(), Some(Rating::Good)));
         assert_eq!(glance("on_budget", "dire"), ("on budget".into(), None));
+    }
+
+    #[test]
+    fn a_homing_is_shown_with_the_state_and_an_older_service_names_none() {
+        let mut rig = json!({ "name": "lab", "label": "virtual", "has_stage": true,
+            "state": "disarmed", "trip": null, "clock_rate": 1.0, "pose": null, "forces_n": [],
+            "force_limit_n": null, "tips": null, "estop_acknowledged_ms": null,
+            "estop_stops": [], "safe_end": null, "stopping": null });
+        let words = |rig: &Value| RigView::deserialize(rig).unwrap().state_words();
+        assert_eq!(words(&rig), "disarmed");
+        rig["motion"] = "homing".into();
+        assert_eq!(words(&rig), "disarmed, homing");
     }
 
     #[test]

@@ -95,6 +95,29 @@ async fn an_abort_ends_the_homing_for_a_run_that_is_about_to_be_driven_again() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn a_homing_is_named_by_the_status_until_an_abort_ends_it() {
+    let lab = Lab::open("homing", rig_args("virtual", SPEED), WAITS).await;
+    // Its homing lasts until the limit of twelve seconds.
+    lab.tell_rig(json!({ "cmd": "fault", "kind": "stuck_axis", "device": "x", "for_s": 6000.0 }))
+        .await;
+    rig(&lab, json!({ "action": "connect" })).await;
+    assert_eq!(lab.get("/api/v1/status").await["rig"]["motion"], Value::Null);
+    rig(&lab, json!({ "action": "home" })).await;
+    lab.until("a homing", |s| s["rig"]["motion"] == "homing").await;
+    let abort = json!({ "who": "test" });
+    lab.posted("/api/v1/rig/abort", abort.clone()).await;
+    lab.until("its end", |s| s["rig"]["motion"].is_null()).await;
+    let status = lab.until("a safe end", |s| !s["rig"]["safe_end"].is_null()).await;
+    assert_eq!(
+        (&status["rig"]["state"], &status["rig"]["trip"]),
+        (&json!("disarmed"), &Value::Null)
+    );
+    let (code, words) = lab.post("/api/v1/rig/abort", abort).await;
+    assert_eq!(code, 409, "{words:#}");
+    lab.close().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn a_pause_of_a_run_that_is_about_to_be_driven_again_holds_it() {
     let (lab, run) = started("held").await;
     lab.stored(5).await;

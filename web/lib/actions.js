@@ -61,12 +61,12 @@ export function confirm(title, words, verb = 'Continue', holds = () => true) {
 export function outcome() {
   const node = el('p', { className: 'said', role: 'status', hidden: true })
   const tell = (words, tone = 'soft') => { note(node, words); node.className = `said ${tone}` }
-  /** Runs an action; a refusal becomes words. Resolves to its result, or undefined. */
-  const run = async (words, work) => {
+  /** Runs an action; a refusal becomes words. Resolves to its result, or undefined. `done` says what its answer means. */
+  const run = async (words, work, done = 'done') => {
     tell(`${words} …`)
     try {
       const result = await work()
-      tell(`${words}: done.`)
+      tell(`${words}: ${done}.`)
       return result
     } catch (error) {
       if (error.name === 'AbortError') return undefined
@@ -84,16 +84,16 @@ export function outcome() {
 /**
  * Makes a button that asks for the name, acts, shows the outcome, and is hidden from those who may not. While another
  * person's operator lock refuses it (`locks`), a press states this alone.
- * `work` gets what `seen()` returned at the press: what the person saw, whatever came meanwhile.
+ * `work` gets what `seen()` returned at the press: what the person saw, whatever came meanwhile. `done`: see `outcome`.
  */
-export function actor(words, said, work, { role = 'operator', locks = role === 'operator', seen = () => undefined, sure = () => true, ...props } = {}) {
+export function actor(words, said, work, { role = 'operator', locks = role === 'operator', seen = () => undefined, sure = () => true, done, ...props } = {}) {
   const node = button(words, async () => {
     if (node.dataset.busy) return // Who enables it again meanwhile would allow a second request.
     const what = seen()
     if (!await sure() || !await named()) return
     node.disabled = true
     node.dataset.busy = 'yes'
-    try { await said.run(props.what ?? words, () => work(what)) } finally { delete node.dataset.busy; node.disabled = false }
+    try { await said.run(props.what ?? words, () => work(what), done) } finally { delete node.dataset.busy; node.disabled = false }
   }, props)
   return only(role, locks ? locked(node, said.tell) : node)
 }
@@ -115,6 +115,9 @@ export const actOnRun = (run, action, more = {}) => sendNow(`/runs/${run}/action
  * person pressed since must be reset.
  */
 export const actOnRig = (action, more = {}) => sendNow('/rig/actions', { action, who: who(), ...more }, { wait: action === 'home' ? 4000 : 15_000 })
+
+/** Ends a homing or a jog, however late it comes: the axes stop, then the tips rise. */
+export const endMotion = () => send('/rig/abort', { who: who() }, { wait: 15_000 })
 
 /** Why the rig or its run would refuse an action on the rig now, in the service's words; '' if they would not. */
 export const refusal = ({ rig_actions }, action) => {

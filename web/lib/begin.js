@@ -12,15 +12,18 @@ import { band } from './preflight.js'
 const CONNECT_S = 30, HOME_S = 180
 const beginning = new Set() // Runs that are being begun: a list may be drawn again meanwhile, with a new button.
 
-/** Resolves when the status meets `test`; rejects after `seconds`, or if the rig trips. */
+/** Resolves when the status meets `test`; rejects after `seconds`, if the rig trips, or once its motion was ended. */
 function until(test, seconds, what) {
+  let moved = false
   return new Promise((resolve, reject) => {
     const cut = new AbortController()
     const end = error => { cut.abort(); clearTimeout(timer); error ? reject(error) : resolve() }
     const timer = setTimeout(() => end(new Error(`${what} took more than ${seconds} s`)), 1e3 * seconds)
-    live.on('status', ({ status }) => {
+    live.on('status', ({ status, motion }) => {
       if (test(status)) queueMicrotask(end)
       else if (status.rig.trip) queueMicrotask(() => end(new Error(`the rig tripped: ${status.rig.trip.detail}`)))
+      else if (moved && !motion) queueMicrotask(() => end(new Error(`${what} was ended early`)))
+      moved ||= Boolean(motion)
     }, cut.signal)
   })
 }

@@ -5,7 +5,7 @@ import { Stopped, ask, door, get, person, socket } from './api.js'
 import { onBeat, sleep } from './dom.js'
 import { KEPT_MINUTES, addSamples, fillSamples, lastAt, samples } from './samples.js'
 
-const OLD_MS = 2600, LATE_MS = 1500, CALLER_MS = 3000, TELL_MS = 240
+const OLD_MS = 2600, LATE_MS = 1500, CALLER_MS = 3000, TELL_MS = 240, STILL_MS = 600
 
 // A change of these is told at once; other values four times per second, since faster cannot be read.
 const urgent = ({ rig, run, lock, needs }) => [rig.state, rig.trip?.detail, needs.map(need => need.words), rig.stopping, rig.estop_acknowledged_ms, rig.safe_end?.tips, run?.uid, run?.state, run?.requested_state, run?.paused_why, run?.waiting_for, lock?.holder].join()
@@ -22,10 +22,13 @@ class Live extends EventTarget {
   why = ''
   /** Name and role of the caller; null while unknown. */
   caller = null
+  /** Homing or jog in progress, or null. The jogs of a held button follow one another: they are shown as one. */
+  motion = null
 
   #told = 0
   #timer = 0
   #urgent = ''
+  #moved = { motion: null, state: '', at: 0 }
 
   /** Calls `then` now and on each change, until `signal` aborts. */
   on(kind, then, signal) {
@@ -53,8 +56,11 @@ class Live extends EventTarget {
     this.status = status
     this.at = Date.now()
     this.state(true, '')
+    const { motion, state } = status.rig, before = this.#moved
+    if (motion) this.#moved = { motion, state, at: this.at }
+    this.motion = motion ?? (before.state === state && Math.abs(this.at - before.at) < STILL_MS ? before.motion : null)
     if (!this.caller && this.at - callerAsked > CALLER_MS) caller()
-    const now = urgent(status)
+    const now = urgent(status) + this.motion
     if (now !== this.#urgent) { this.#urgent = now; this.#tell() } else this.#timer ||= setTimeout(this.#later, this.#told + TELL_MS - this.at)
   }
   #tell = () => {

@@ -1,6 +1,6 @@
 // What runs are called in lists and reports: state, end, kind; and what is computed from their summaries. No DOM.
 
-import { count, fixed, moment, plain, span } from './format.js'
+import { capital, count, fixed, listed, moment, plain, span } from './format.js'
 import { meaning } from './vocabulary.js'
 
 const ENDS = { success: 'finished', stopped: 'stopped', abort: 'aborted', fail: 'failed' }
@@ -28,6 +28,12 @@ export const isActive = run => !['queued', 'removed', 'ended', 'interrupted'].in
 
 /** The state of the active run, with the one that was requested. */
 export const stateWords = run => `${plain(run.state)}${{ paused: ', pause requested', idle: ', end requested' }[run.requested_state] ?? ''}`
+
+/** A state of the rig or of a run, with the homing or jog in progress, as `live` has it. */
+export const withMotion = (words, motion) => listed([words, motion && plain(motion)])
+
+/** The homing or jog in progress as a sentence; '' if there is none. */
+export const motionWords = motion => motion ? `${capital(plain(motion))} in progress: the axes move.` : ''
 
 /** State or end in one word. */
 export const endWord = run => (run.state === 'ended' ? (ENDS[run.exit_status] ?? plain(run.exit_status ?? 'ended')) : plain(run.state))

@@ -13,7 +13,7 @@ import { age, bytes, capital, count, countOf, counted, fixed, moment, momentBand
 import { history } from '../lib/history.js'
 import { live } from '../lib/live.js'
 import { eventLog } from '../lib/log.js'
-import { BEGUN, stateWords } from '../lib/runwords.js'
+import { BEGUN, motionWords, stateWords, withMotion } from '../lib/runwords.js'
 import { sensorOf } from '../lib/skin.js'
 import { COLOURINGS, tourMap } from '../lib/tourmap.js'
 import { backlog } from '../lib/twinpool.js'
@@ -75,7 +75,7 @@ export async function show(root, { query, signal, set }) {
   const minutes = select(MINUTES, state.minutes ?? '', value => set({ minutes: value }), { 'aria-label': 'Time that the chart shows' })
   const nowPart = panel('Now', { className: 'live now', aside: minutes }, nowBody, said.node, bars, chart.node)
 
-  const data = dataView({ state, set, signal, label, onfacts: more => { seen = { ...seen, ...more } } })
+  const data = dataView({ state, set, signal, label, onfacts: more => { seen = { ...seen, ...more }; tellData() } })
   const dataFacts = el('div'), watch = watching(), dataPart = panel('Data', { className: 'live data', aside: data.controls }, data.node, dataFacts, watch.node)
   const nightPart = history({ state, set, signal, label, height: low ? 94 : 170 })
   const log = eventLog({ state, set, signal })
@@ -116,12 +116,12 @@ export async function show(root, { query, signal, set }) {
       ['Disk', disk ? `${bytes(disk.free_bytes)} free, ${bytes(disk.needed_bytes)} needed` : 'not reported'],
       ['Queue', queue_length ? counted(queue_length, 'run') + next : 'empty'],
       ['Operator lock', lock ? `${lock.holder}, since ${moment(lock.since)}: ${lock.note}` : 'free'],
-      !run && ['Rig', meaning('rig_states', rig.state) || `${capital(plain(rig.state))}.`],
+      !run && ['Rig', motionWords(live.motion) || meaning('rig_states', rig.state) || `${capital(plain(rig.state))}.`],
     ])
   }
 
   function tellRun(now, needs, fresh) {
-    say(headline, stateWords(now))
+    say(headline, withMotion(stateWords(now), live.motion))
     headline.className = `state ${TONE[now.state] ?? ''}`
     say(why, doingWords(now, needs))
     const index = now.current_step?.index ?? progress?.current, of = now.current_step?.of ?? tour?.steps.configuration.length
@@ -144,16 +144,17 @@ export async function show(root, { query, signal, set }) {
   function tellData() {
     const rolling = twins?.pool.rolling, limit = live.status?.suspenders?.find(one => one.name === 'twin_fvu' && one.suspends)
     const broken = seen.stuck ? `${seen.stuck.length} stuck, ${seen.saturated?.length ?? 0} saturated` : 'not reported'
+    const unread = twins ? null : 'not read yet'
     changing(dataFacts, [
-      ['Rolling FVU', rolling ? `${fixed(rolling.median_fvu, 3)}${limit ? ` of ${fixed(limit.threshold, 2)}` : ''}` : 'none yet'],
-      ['Twins', backlog(twins, (run ?? last)?.uid) ?? 'none'], ['Channels', broken],
+      ['Rolling FVU', rolling ? `${fixed(rolling.median_fvu, 3)}${limit ? ` of ${fixed(limit.threshold, 2)}` : ''}` : unread ?? 'none yet'],
+      ['Twins', backlog(twins, (run ?? last)?.uid) ?? unread ?? 'none'], ['Channels', broken],
     ])
   }
 
   // What is asked for: the run's tour once, its progress while trials are stored, its course each half minute.
-  let changes = 0, unread = true // Whether the runs are still to be read since the last change.
+  let changes = 0, isOld = true // Whether the runs are still to be read since the last change.
   async function change() {
-    unread = true
+    isOld = true
     const mine = changes += 1, left = () => signal.aborted || mine !== changes
     run = live.status?.run ?? null
     try {
@@ -164,7 +165,7 @@ export async function show(root, { query, signal, set }) {
       if (!mode && !left()) fill(root, pane(el('p', { className: 'bad' }, `The runs could not be read: ${error.message}. Trying again.`)))
       return
     }
-    unread = false
+    isOld = false
     arrange()
     const of = run ?? last
     fill(nowBody, run ? active : last ? over.node : '')
@@ -229,7 +230,7 @@ export async function show(root, { query, signal, set }) {
   every(TWINS_MS, async () => { try { twins = await get('/twins', {}, { signal }); tellData() } catch { /* Old values keep their age. */ } }, signal)
   every(QUEUE_MS, async () => {
     try { queue = (await get('/queue', {}, { signal })).items } catch { return }
-    if (unread) await change()
+    if (isOld) await change()
     if (!run && last) over.next(queue[0])
     if (mode === 'welcome') hello.show(queue[0] ?? null)
   }, signal)

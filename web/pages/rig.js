@@ -3,7 +3,7 @@
 
 import { hold } from '../lib/address.js'
 import { get } from '../lib/api.js'
-import { actOnRig, actor, outcome, refusal, sendNow, sureHome } from '../lib/actions.js'
+import { actOnRig, actor, endMotion, outcome, refusal, sendNow, sureHome } from '../lib/actions.js'
 import { chain, lastWord, stopWords, stoppingWords, streamWords, wireWords } from '../lib/chain.js'
 import { copyButton } from '../lib/copybutton.js'
 import { el, every, facts, fill, panel, renew, say, select } from '../lib/dom.js'
@@ -13,6 +13,7 @@ import { jog, stepsOf } from '../lib/jog.js'
 import { live, who } from '../lib/live.js'
 import { lockWords } from '../lib/lock.js'
 import { checkReport } from '../lib/rigcheck.js'
+import { motionWords, withMotion } from '../lib/runwords.js'
 import { meaning } from '../lib/vocabulary.js'
 import { TONE } from '../lib/words.js'
 
@@ -28,6 +29,8 @@ const ACTIONS = [['connect', 'Connect', 'Opens the wires and asks every device w
 function forbidden(action, status, fresh) {
   if (!fresh) return 'No connection.'
   if (!live.may('operator')) return 'It needs the role operator.'
+  // A held button requests the next jog before the status shows the end of the one before.
+  if (live.motion && action !== 'jog') return 'The rig moves.'
   const words = refusal(status, action)
   return lockWords() || words && `${capital(words)}.`
 }
@@ -38,6 +41,7 @@ export async function show(root, { query, signal, set }) {
   const said = outcome(), saidTips = outcome(), saidCheck = outcome(), links = chain()
   const head = el('p', { className: 'state' }), sentence = el('p'), acts = el('ul', { className: 'acts' }), pose = el('div'),
     copy = el('pre', { tabIndex: 0 }), limits = el('div'), trip = el('div', { className: 'trip', hidden: true })
+  const halt = actor('Stop this motion', said, endMotion, { role: 'viewer', done: 'accepted', className: 'danger', title: 'The axes stop, then the tips rise' })
   const bars = forceBars({ signal })
   const may = action => live.status ? forbidden(action, live.status, live.fresh) : 'No status yet.'
   const pad = jog({ allowed: () => may('jog'), steps: () => state.steps, signal,
@@ -47,7 +51,7 @@ export async function show(root, { query, signal, set }) {
     } })
 
   const rows = ACTIONS.map(([action, words, about]) => {
-    const why = el('span', { className: 'soft' }), one = actor(words, said, () => actOnRig(action), action === 'home' ? { sure: sureHome } : {})
+    const why = el('span', { className: 'soft' }), one = actor(words, said, () => actOnRig(action), action === 'home' ? { sure: sureHome, done: 'accepted' } : {})
     return { action, about, why, one, node: el('li', {}, one, why) }
   })
   fill(acts, rows.map(row => row.node))
@@ -97,7 +101,7 @@ export async function show(root, { query, signal, set }) {
 
   root.append(el('div', { className: 'columns wide-right' },
     el('div', { className: 'column' },
-      panel('Can it move?', { className: 'live' }, head, sentence, trip, viewer, acts, said.node),
+      panel('Can it move?', { className: 'live' }, el('div', { className: 'headline' }, head, halt), sentence, trip, viewer, acts, said.node),
       panel('Jog', { className: 'live' }, pose, pad.node),
       tips,
       panel('Teach', { className: 'live' }, el('p', {}, 'The present pose in machine coordinates, to copy into the rig file.'), copy, toCopy),
@@ -121,16 +125,19 @@ export async function show(root, { query, signal, set }) {
       el('p', {}, meaning('trips', rig.trip.kind)))
   }
 
-  function draw({ status, fresh }) {
+  function draw({ status, fresh, motion }) {
     if (!status) return
     const { run } = status, closed = status.rig.state === 'disconnected', { stream } = status.rig
     // The status keeps what was read last: with closed wires it is not the present pose.
     const rig = closed ? { ...status.rig, pose: null, forces_n: [], live_cells: null, wires: [], stream: { ...stream, frames: 0 } } : status.rig
     if (state.closed && !closed) listen()
     bars.hidden = state.closed = closed
-    say(head, run ? `${plain(rig.state)}, run ${run.scan_id}` : plain(rig.state))
+    say(head, withMotion(run ? `${plain(rig.state)}, run ${run.scan_id}` : plain(rig.state), motion))
     head.className = `state ${TONE[rig.state] ?? ''}`
-    say(sentence, run ? `${run.experiment} is ${plain(run.state)}${run.waiting_for ? `: ${run.waiting_for}` : ''}.` : rig.has_stage === false
+    // With its place kept, or what is below would move with each jog. A motion for a run ends with that run.
+    halt.style.visibility = motion && !run ? '' : 'hidden'
+    halt.inert = !fresh
+    say(sentence, run ? `${run.experiment} is ${plain(run.state)}${run.waiting_for ? `: ${run.waiting_for}` : ''}.` : motion ? motionWords(motion) : rig.has_stage === false
       && rig.state === 'disarmed' ? 'Connected. There is nothing to home: a run may start.' : meaning('rig_states', rig.state))
     showRole()
     drawTrip(rig)

@@ -67,7 +67,7 @@ pub fn header(night: &Night, theme: Theme) -> Line<'static> {
     } else {
         spans.push(Span::raw("no run"));
     }
-    spans.push(Span::styled(format!("  rig {}", status.rig.state.as_str()), theme.aside()));
+    spans.push(Span::styled(format!("  rig {}", status.rig.state_words()), theme.aside()));
     Line::from(spans)
 }
 

@@ -112,7 +112,8 @@ pub(super) struct Around<'a> {
 /// What a person must do, the most urgent first; empty if nothing.
 pub(super) fn needs(status: &Status, around: Around<'_>) -> Vec<Need> {
     let mut needs = of_rig(status);
-    let is_of_rig = needs.iter().any(|need| need.kind != NeedKind::NotStopped);
+    let is_of_rig =
+        status.rig.motion.is_some() || needs.iter().any(|need| need.kind != NeedKind::NotStopped);
     needs.extend(status.run.as_ref().and_then(|run| of_run(run, status, is_of_rig)));
     let start = |words| Need::new(NeedKind::Start, Importance::Act, sentence(words), None);
     needs.extend(around.not_begun.map(start));
@@ -183,6 +184,7 @@ fn of_rig(status: &Status) -> Vec<Need> {
     let waits = run.as_ref().is_some_and(|run| run.paused_why == Some(PausedWhy::Trip));
     let is_manual = run.as_ref().is_some_and(|run| run.is_manual);
     let is_lost = rig.state == RigState::Disarmed && rig.trip.is_none() && rig.has_stage;
+    let is_lost = is_lost && rig.motion.is_none();
     if is_lost && !is_manual && (waits || rig.tripped_at.is_some()) {
         let words = "Home the axes: keep hands and tools away.".into();
         needs.push(act(NeedKind::Home, words));
@@ -190,7 +192,8 @@ fn of_rig(status: &Status) -> Vec<Need> {
     needs
 }
 
-/// What the active run waits for. `is_of_rig`: the rig needs something first, which is why the run would not continue.
+/// What the active run waits for. `is_of_rig`: the rig moves or needs something first, which is why the run would not
+/// continue.
 fn of_run(run: &RunStatus, status: &Status, is_of_rig: bool) -> Option<Need> {
     let why = run.paused_why?;
     let (kind, next) = match why {
@@ -250,6 +253,7 @@ pub(super) mod tests {
     use crate::campaign::bench::interlock::TripKind;
     use crate::campaign::shown::safe_end::SafeEnd;
     use crate::campaign::shown::show;
+    use crate::campaign::shown::status::Motion;
     use crate::ids::RunUid;
     use crate::rig::setup::RigSetup;
 
@@ -315,6 +319,9 @@ pub(super) mod tests {
         });
         let home = "Home the axes: keep hands and tools away.".to_owned();
         assert_eq!(of(&tripped), [(NeedKind::Home, Importance::Act, home)]);
+        tripped.rig.motion = Some(Motion::Homing);
+        assert_eq!(of(&tripped), [], "they are homed now");
+        tripped.rig.motion = None;
         tripped.change(later, |status| status.rig.state = RigState::Homed);
         assert_eq!(of(&tripped), []);
         // A run that waits for it after a restart of the service, which knows of no trip.
@@ -323,6 +330,8 @@ pub(super) mod tests {
         waits.run = Some(waiting(PausedWhy::Trip));
         let kinds: Vec<NeedKind> = of(&waits).into_iter().map(|(kind, ..)| kind).collect();
         assert_eq!(kinds, [NeedKind::Home, NeedKind::Resume]);
+        waits.rig.motion = Some(Motion::Homing);
+        assert_eq!(of(&waits)[0].2, "The run waits: the rig tripped.");
     }
 
     #[test]

@@ -4,8 +4,8 @@ import re
 
 from playwright.sync_api import expect
 
-from person import (RUN_MS, URL, api, button, confirmed, downloaded, in_dialog, LIMIT_MS, named, pressed, said, state,
-                    tabbed, until)
+from person import (RUN_MS, URL, api, button, confirmed, downloaded, hands, in_dialog, LIMIT_MS, named, pressed, said,
+                    state, tabbed, until)
 from views import halted, watched, with_status
 
 # A request that fails, and a stop before it is sent again.
@@ -77,9 +77,20 @@ def first_evening(page, _browser):
     expect(page.get_by_role("link", name="Open this trial")).to_be_visible(timeout=LIMIT_MS)
     page.get_by_role("link", name="Open this trial").click()
     expect(page).to_have_url(re.compile("/trials[?]trial="), timeout=LIMIT_MS)
+    twins_not_read(page)
     runs_by_conditions(page)
     fit_by_keys(page)
     contacts_by_mouse(page)
+
+
+def twins_not_read(page):
+    """What is not read is not shown as none."""
+    page.route("**/api/v1/twins", lambda route: route.abort())
+    page.goto(URL)
+    twins = page.locator("dl.facts > div").filter(has=page.locator("dt", has_text="Twins")).locator("dd")
+    expect(twins).to_have_text("not read yet", timeout=LIMIT_MS)
+    page.unroute("**/api/v1/twins")
+    expect(twins).to_have_text(re.compile("to do"), timeout=LIMIT_MS)
 
 
 def runs_by_conditions(page):
@@ -211,6 +222,32 @@ def abort(page, _browser):
     assert ended["exit_status"] == "abort", ended
     assert api(f"/runs/{run['uid']}/summary")["trials_stored"] > before
     expect(button(page, "Abort")).to_be_hidden(timeout=LIMIT_MS)
+
+
+def motion(page, _browser):
+    """A homing is named on every page, and ends by the button that is there while it moves."""
+    page.goto(f"{URL}/rig")
+    halt = button(page, "Stop this motion")
+    pressed(page, "Connect")
+    named(page)
+    until("the wires", lambda: rig()["state"] == "disarmed")
+    expect(halt).to_be_hidden()
+    # It lasts until its limit.
+    hands({"cmd": "fault", "kind": "stuck_axis", "device": "x", "for_s": 6000.0})
+    pressed(page, "Home")
+    expect(halt).to_be_visible(timeout=LIMIT_MS)
+    expect(button(page, "Home")).to_be_disabled()
+    said(page, "Homing in progress: the axes move.")
+    for path in ("/wear", "/", "/rig"):
+        page.goto(URL + path)
+        state(page, "Rig disarmed, homing")
+    # Nobody is asked whether it may stop.
+    pressed(page, "Stop this motion")
+    said(page, "Stop this motion: accepted.")
+    expect(halt).to_be_hidden()
+    state(page, re.compile("disarmed$"))
+    now = until("the safe end", lambda: (now := rig())["safe_end"] and now)
+    assert (now["motion"], now["state"], now["trip"]) == (None, "disarmed", None), now
 
 
 def keyboard(page, _browser):

@@ -147,6 +147,20 @@ async fn abort_asks_first_and_keeps_what_is_stored() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn a_homing_ends_by_the_button_that_is_there_while_it_moves() {
+    let Some(tools) = tools() else { return };
+    let lab = Lab::open("browser-motion", rig_args("virtual", 1.0), COMPUTES).await;
+    plays(&lab, tools, "motion").await;
+    let actions = lab.get("/api/v1/actions?limit=100").await;
+    let mut aborts = actions["items"].as_array().unwrap().iter();
+    let is_hers = |row: &Value| {
+        row["action"] == "rig_abort" && row["who"].as_str().is_some_and(|who| who.contains("Ada"))
+    };
+    assert!(aborts.any(is_hers), "{actions:#}");
+    lab.close().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn the_stop_needs_no_mouse() {
     let Some(tools) = tools() else { return };
     let (lab, _) = running("browser-keyboard").await;

@@ -23,8 +23,9 @@ import views
 import weighing
 
 SCENARIOS = {one.__name__: one for one in (
-    campaign.first_evening, campaign.operate, campaign.abort, campaign.keyboard, weighing.place, weighing.wrong_weight,
-    touching.touch, access.viewer, connection.lost, accessibility.axe, accessibility.axe_empty, size.size, bulk.bulk)}
+    campaign.first_evening, campaign.operate, campaign.abort, campaign.motion, campaign.keyboard, weighing.place,
+    weighing.wrong_weight, touching.touch, access.viewer, connection.lost, accessibility.axe, accessibility.axe_empty,
+    size.size, bulk.bulk)}
 
 
 def main():

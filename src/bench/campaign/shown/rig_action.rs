@@ -52,8 +52,8 @@ impl RigAction {
         matches!(self, Self::Home | Self::Jog | Self::Tare | Self::Tips)
     }
 
-    /// Why it is refused at this status, as text; `None` if it is not. While the rig moves outside a run, which the
-    /// status does not show, it is refused, too.
+    /// Why it is refused at this status, as text; `None` if it is not. While the rig homes or jogs, it is refused, too:
+    /// a held button requests the next jog before the status shows the end of the one before.
     pub fn refused(self, Status { rig, run, .. }: &Status) -> Option<String> {
         match run {
             None => self.refused_by_rig(rig),

@@ -36,6 +36,7 @@ pub fn closed(config: &RigSetup) -> Status {
             label: config.label(),
             has_stage: config.bench().is_some(),
             state: RigState::Disconnected,
+            motion: None,
             trip: None,
             tripped_at: None,
             clock_rate: config.clock_rate(),

@@ -88,6 +88,9 @@ pub struct RigStatus {
     pub has_stage: bool,
     /// State of the rig.
     pub state: RigState,
+    /// Homing or jog in progress, without the safe end that follows its early end; null if none. Unless a run is
+    /// active, `POST /api/v1/rig/abort` ends it.
+    pub motion: Option<Motion>,
     /// Cause of the latched trip; null if the rig is not tripped.
     pub trip: Option<Trip>,
     /// Time of the latched or last trip; null once the axes were homed after it, or the wires closed.
@@ -133,6 +136,24 @@ impl RigStatus {
             RigState::Disarmed => !self.has_stage,
             RigState::Disconnected | RigState::Armed | RigState::Tripped => false,
         }
+    }
+}
+
+/// Motion on request, or for a run that resumes: not one of the steps of a run.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema, IntoStaticStr)]
+#[serde(rename_all = "snake_case")]
+#[strum(serialize_all = "snake_case")]
+pub enum Motion {
+    /// The zero of each axis is determined.
+    Homing,
+    /// One axis moves to a position.
+    Jog,
+}
+
+impl Motion {
+    /// Name of the motion on every wire.
+    pub fn as_str(self) -> &'static str {
+        self.into()
     }
 }
 

@@ -11,7 +11,9 @@ use tokio::sync::OwnedMutexGuard;
 use tokio::task::JoinSet;
 use tokio::time::Instant;
 
-use super::{Answer, Connection, Engine, JUST_MOVED, Owed, no_stage, no_wires, trip_of};
+use super::{
+    Answer, Connection, Engine, JUST_MOVED, NO_JOG_AFTER_ABORT, Owed, no_stage, no_wires, trip_of,
+};
 use crate::campaign::bench::estop::AxisStop;
 use crate::campaign::bench::interlock::{self, Trip, TripKind};
 use crate::campaign::bench::rig_state::RigEvent;
@@ -25,6 +27,7 @@ use crate::campaign::safe_end::raise_as_planned;
 use crate::campaign::shown::command::{Envelope, Refusal, Request};
 use crate::campaign::shown::safe_end::Tips;
 use crate::campaign::shown::show;
+use crate::campaign::shown::status::Motion;
 use crate::clock::Clock;
 use crate::journal::Mounting;
 use crate::record::ARMS;
@@ -91,6 +94,7 @@ impl Engine {
             }
             Request::AbortMotion => {
                 if self.moved_at.is_some_and(|at| at.elapsed() <= JUST_MOVED) {
+                    self.aborted_at = Some(Instant::now());
                     self.control.attended(ABORTED_LATE);
                 }
                 Err(Refusal::State("abort is not possible: nothing moves".into()))
@@ -344,7 +348,9 @@ impl Engine {
         self.prepared_setting = None;
         let entered = self.entered_tips();
         let homed = self
-            .guarded(|stage, control| Box::pin(async move { stage.home(control, entered).await }))
+            .guarded(Motion::Homing, |stage, control| {
+                Box::pin(async move { stage.home(control, entered).await })
+            })
             .await;
         if homed {
             self.owed = Owed::Nothing;
@@ -358,7 +364,7 @@ impl Engine {
 
     async fn jog(&mut self, target: Target) {
         let entered = self.entered_tips();
-        self.guarded(|stage, control| {
+        self.guarded(Motion::Jog, |stage, control| {
             Box::pin(async move {
                 stage.assume_tips(entered).await?;
                 if target.axis != AxisName::Z {
@@ -372,9 +378,9 @@ impl Engine {
         .await;
     }
 
-    /// Runs a motion outside a run. Every early end leads to the safe end, and latches unless it was
-    /// requested.
-    async fn guarded<F>(&mut self, motion: F) -> bool
+    /// Runs a motion outside a run, which the status shows until it ends. Every early end leads to the safe end, and
+    /// latches unless it was requested.
+    async fn guarded<F>(&mut self, motion: Motion, drive: F) -> bool
     where
         F: for<'a> FnOnce(
             &'a mut Stage,
@@ -386,16 +392,24 @@ impl Engine {
         let Some(stage) = self.connection.as_mut().and_then(|c| c.stage.as_mut()) else {
             return false;
         };
-        let outcome = motion(stage, &mut self.control).await;
+        self.control.show(|status| status.rig.motion = Some(motion));
+        let outcome = drive(stage, &mut self.control).await;
+        self.control.show(|status| status.rig.motion = None);
         self.moved_at = Some(Instant::now());
         let Err(halt) = outcome else { return true };
         let requested = self.control.leaving() || matches!(halt, Halt::Asked);
         let trip = (!requested).then(|| trip_of(&halt));
         self.make_safe(trip.as_ref(), Height::Clear).await;
+        self.aborted_at = requested.then(Instant::now);
         false
     }
 
     fn jog_target(&self, axis: &str, to_mm: f64) -> Result<Target, Refusal> {
+        if self.aborted_at.is_some_and(|at| at.elapsed() <= NO_JOG_AFTER_ABORT) {
+            let within_s = NO_JOG_AFTER_ABORT.as_secs();
+            let words = format!("jog is not possible within {within_s} s of an abort");
+            return Err(Refusal::Busy(words));
+        }
         let stage = self.stage().ok_or_else(no_wires)?;
         let axes = &stage.config.axes;
         let slot = &stage.config.slot;

@@ -65,6 +65,8 @@ const OWED_AGAIN_MAX: Duration = Duration::from_secs(30);
 const STORE_PATIENCE: Duration = Duration::from_secs(10);
 /// Time after the end of a homing or a jog within which an abort was meant for it, wall.
 const JUST_MOVED: Duration = Duration::from_secs(10);
+/// Time after such an abort within which no jog begins, wall: a held button requests one after the other.
+const NO_JOG_AFTER_ABORT: Duration = Duration::from_secs(5);
 /// Longest wait between two automatic resumes, wall.
 const LONGEST_BACKOFF: Duration = Duration::from_secs(120);
 
@@ -131,6 +133,8 @@ struct Engine {
     owed_pause: Duration,
     /// When a homing or a jog ended last.
     moved_at: Option<Instant>,
+    /// When an abort of one was requested last.
+    aborted_at: Option<Instant>,
     /// When the driven run halted last.
     halted_at: Moment,
     /// When the newest request to begin or to resume a run was decided.
@@ -184,6 +188,7 @@ impl Engine {
             owed: Owed::Nothing,
             owed_pause: OWED_AGAIN,
             moved_at: None,
+            aborted_at: None,
             halted_at: now,
             decided_at: now,
             driven: Span::none(),
@@ -360,7 +365,7 @@ impl Engine {
             tracing::error!("the safe end itself failed: inspect the rig");
         }
         self.control.forget_run();
-        self.control.show(|status| status.run = None);
+        self.control.show(|status| (status.run, status.rig.motion) = (None, None));
         self.prepared_setting = None;
     }
 
