@@ -127,7 +127,7 @@ impl Extent {
 }
 
 /// The column of a leaf.
-fn column_of(path: &str) -> &str {
+pub(super) fn column_of(path: &str) -> &str {
     path.split('.').next().unwrap_or_default()
 }
 
