@@ -15,7 +15,7 @@ use crate::samples::{Samples, read_finite};
 pub const MEASURED_MAX: u64 = 8192;
 /// Number of samples in memory at a time.
 const SAMPLES_AT_ONCE: usize = 64;
-/// A channel whose standard deviation is below this share of the channels' median is constant: what it
+/// A channel whose standard deviation is below this share of the median of those that change is constant: what it
 /// does later has no information, and would be scaled up without a bound.
 const CONSTANT: f64 = 1e-4;
 /// Standard deviation of a constant channel: its standardised value is zero.
@@ -111,7 +111,8 @@ impl Moments {
 
 /// Standard deviations of channels as divisors; those of constant ones are [`NEVER_V`].
 fn divisors(sds: &[f64]) -> Vec<f32> {
-    let least = CONSTANT * median(sds.iter().copied()).unwrap_or(0.0);
+    let changing = sds.iter().copied().filter(|sd| *sd > 0.0);
+    let least = CONSTANT * median(changing).unwrap_or(0.0);
     sds.iter().map(|&sd| if sd > least { sd as f32 } else { NEVER_V }).collect()
 }
 
@@ -275,4 +276,16 @@ fn whitening(
     weight.extend(std::iter::repeat_n(0.0, channels).chain([(1.0 / log_sd) as f32]));
     bias.push((-log_mean / log_sd) as f32);
     Ok((weight, bias))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_channel_that_hardly_changes_is_constant_also_among_many_dead_ones() {
+        let sds = [0.0, 0.0, 0.0, 1e-7, 0.5];
+        assert_eq!(divisors(&sds), [NEVER_V, NEVER_V, NEVER_V, NEVER_V, 0.5]);
+        assert_eq!(divisors(&[0.0, 0.0]), [NEVER_V; 2]);
+    }
 }

@@ -110,7 +110,7 @@ export function datasetView({ signal, go, onmade, onexport }) {
       facts([
         ['Rows', count(item.rows)],
         ['Size', bytes(item.bytes)],
-        ['Label', el('span', { className: label === 'virtual' ? 'virtual' : '' }, label ?? 'not known')],
+        ['Label', el('span', { className: label === 'virtual' ? 'virtual' : '' }, label ?? 'several')],
         ['Made', moment(item.created_at)],
         ['Last used', item.last_used_at ? moment(item.last_used_at) : 'not known'],
         ['Channels', count(report.channels)],
@@ -154,7 +154,7 @@ export function datasetView({ signal, go, onmade, onexport }) {
     }).node
     heads.classList.add('tall-table')
     const columns = panel('Columns', { aside: el('span', {}, counted(report.columns.length, 'column')) }, heads)
-    walk = lineageWalk({ dataset: item, lineage: lineage.lineage, nets: lineage.trained, label, signal: mine, set: go })
+    walk = lineageWalk({ dataset: item, lineage: lineage.lineage, nets: lineage.trained, signal: mine, set: go })
     const graph = panel('What it was made from', { aside: el('span', {}, 'dataset, runs, trials, frame') }, walk.node)
     const saved = el('span', { className: 'row' },
       save('Save as Markdown', `/api/v1/datasets/${item.id}/card`, `${item.id}.md`),

@@ -11,7 +11,7 @@ const force = row => fixed(row.max_force_n, 1, 'N')
 const SVG = 'http://www.w3.org/2000/svg'
 
 /** Makes the graph of `{ lineage, dataset }`; `chosen` is { run, trial } of the address, `set` changes it. */
-export function lineageWalk({ dataset, lineage, nets, label, signal, set }) {
+export function lineageWalk({ dataset, lineage, nets, signal, set }) {
   let chosen = {},
     shownRun = null,
     shownTrial = null,
@@ -49,7 +49,8 @@ export function lineageWalk({ dataset, lineage, nets, label, signal, set }) {
   const trials = el('div', { className: 'walk-list' }),
     more = button('More', () => readTrials(), { hidden: true, className: 'plain' }),
     toTrials = el('p', { className: 'small' })
-  const picture = frame({ title: 'Measured frame', signal, label: () => label })
+  const label = () => lineage.runs.find(run => String(run.scan_id) === chosen.run)?.label ?? ''
+  const picture = frame({ title: 'Measured frame', signal, label })
   const words = el('div', { className: 'small' })
   const end = el('div', { hidden: true }, picture.node, words)
   const hint = {

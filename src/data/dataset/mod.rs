@@ -2,7 +2,7 @@
 //! Uses: `store`, `simulate` (Sim-Random's manifests). Never: HTTP, motion, a dataset that changes.
 //!
 //! PURE: `definition`, `filter`, `split`, `force_map`, `schema`, `batch`, `survey`, `select`,
-//! `sort`, `card`, `package`, `prune`, `pressed`, `space`.
+//! `sort`, `card`, `origin`, `package`, `prune`, `pressed`, `space`.
 //!
 //! ```text
 //! definition -> build: survey, batch, shards -> file DATA/datasets/ds-..  -> read, select -> format
@@ -25,6 +25,7 @@ pub mod select;
 pub mod sort;
 pub mod read;
 pub mod card;
+pub mod origin;
 pub mod inputs;
 pub mod pressed;
 pub mod encoder;

@@ -21,8 +21,8 @@ use crate::dataset::definition::Definition;
 use crate::dataset::error::DatasetError;
 use crate::dataset::format::{Format, UnknownFormat};
 use crate::dataset::making::Making;
-use crate::dataset::package;
 use crate::dataset::prune::Pruned;
+use crate::dataset::{origin, package};
 use crate::ids::DatasetId;
 use crate::problem::Problem;
 use crate::query::TABLES;
@@ -39,7 +39,7 @@ pub struct DatasetOut {
     /// Definition that selected, labelled and split the trials.
     #[schema(value_type = Definition)]
     pub definition: Value,
-    /// Origin of its rows: the label of its runs, `simulated` without any; null if it cannot be read.
+    /// Origin of all its rows, `simulated` without runs; null if they have several, or if it cannot be read.
     pub label: Option<Label>,
     /// Number of rows.
     pub rows: u64,
@@ -70,7 +70,7 @@ impl From<DatasetRow> for DatasetOut {
             url: format!("/api/v1/data/{}.parquet", row.id),
             id: row.id,
             name: row.name,
-            label: label_of(&row.lineage),
+            label: origin::label(&row.lineage),
             definition: row.definition,
             rows: row.rows,
             bytes: row.bytes,
@@ -80,14 +80,6 @@ impl From<DatasetRow> for DatasetOut {
             last_used_at: None,
             is_current: None,
         }
-    }
-}
-
-/// Label of the rows with a lineage: all runs of a dataset have the same one.
-fn label_of(lineage: &Value) -> Option<Label> {
-    match lineage["runs"].get(0) {
-        None => Some(Label::Simulated),
-        Some(run) => Label::deserialize(&run["label"]).ok(),
     }
 }
 

@@ -16,6 +16,7 @@ use super::readings::frames::FrameInput;
 use crate::clock::Clock;
 use crate::dataset::force_map::ForceMap;
 use crate::dataset::force_map::peaks::THRESHOLD_N;
+use crate::dataset::origin;
 use crate::evaluate::anova::Moments;
 use crate::evaluate::distances::Distances;
 use crate::evaluate::perfect::perfect;
@@ -160,7 +161,7 @@ impl Scoring {
         let models = self.reader.nets().iter().map(|net| net.manifest.id.clone()).collect();
         let skin = self.reader.method().and_then(|method| method.skin());
         let calibration = skin.and_then(|skin| skin.calibration.cloned());
-        let label = serde_json::from_value(self.lineage["runs"][0]["label"].clone()).ok();
+        let label = origin::label(&self.lineage);
         EvaluationReport {
             scored: self.request.scored,
             dataset: self.dataset.clone(),

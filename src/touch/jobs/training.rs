@@ -17,6 +17,7 @@ use super::trainer::{self, Ended};
 use super::{Jobs, Watch};
 use crate::dataset::background::background;
 use crate::dataset::import::sensor::ImportedSensor;
+use crate::dataset::origin;
 use crate::ids::{CalibrationId, DatasetId, ModelId};
 use crate::infer::registry::{self, NewModel};
 use crate::learn::error::LearnError;
@@ -166,9 +167,8 @@ pub(super) struct Inherited {
 
 /// What the model of a recipe inherits from the lineage of its dataset.
 pub(super) fn inherited(lineage: &Value, recipe: &Recipe) -> Inherited {
-    let label = serde_json::from_value(lineage["runs"][0]["label"].clone()).ok();
     // A net that reads no measured frames is of simulations.
-    let label = label.filter(|_| recipe.task().columns().contains(&MEASURED));
+    let label = origin::label(lineage).filter(|_| recipe.task().columns().contains(&MEASURED));
     let model = &lineage["models"][0];
     let text = |value: &Value| value.as_str().map(str::to_owned);
     Inherited {

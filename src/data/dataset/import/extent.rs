@@ -24,6 +24,10 @@ const VALUES_AT_ONCE: u64 = 4 << 20;
 /// may be that of each of its rows.
 const TEXT_BYTES_AT_ONCE: u64 = 256 << 20;
 
+/// Largest number of values of a column in a row group of a Parquet file, 1 GiB of voltages: one row may have all of
+/// them, whatever their mean is, and a row is read as a whole.
+const GROUP_VALUES_MAX: u64 = 256 << 20;
+
 /// Numbers of rows and values of a file.
 #[derive(Debug, Default)]
 pub struct Extent {
@@ -32,12 +36,14 @@ pub struct Extent {
     values: BTreeMap<String, u64>,
     /// Largest size of the texts of a row group that are read, without compression, bytes.
     text_bytes: u64,
+    /// Largest number of values of a leaf in a row group.
+    group_values: u64,
 }
 
 impl Extent {
     /// Of a file with this number of rows, and of values by column.
     pub fn new(rows: u64, values: BTreeMap<String, u64>) -> Self {
-        Self { rows, values, text_bytes: 0 }
+        Self { rows, values, text_bytes: 0, group_values: 0 }
     }
 
     /// Extent of a Parquet file, by its footer.
@@ -56,8 +62,10 @@ impl Extent {
                 if leaf.column_type() == Type::BYTE_ARRAY {
                     text_bytes = text_bytes.saturating_add(count(leaf.uncompressed_size()));
                 }
+                let in_group = count(leaf.num_values());
+                extent.group_values = extent.group_values.max(in_group);
                 let values = leaves.entry(path).or_default();
-                *values = values.saturating_add(count(leaf.num_values()));
+                *values = values.saturating_add(in_group);
             }
             extent.text_bytes = extent.text_bytes.max(text_bytes);
         }
@@ -85,8 +93,8 @@ impl Extent {
     /// messages.
     ///
     /// # Errors
-    /// A problem if there are too many rows, if the texts are too long, and for each column with more values than trials of the
-    /// sensor can have.
+    /// A problem if there are too many rows, if the texts are too long, if a row group has too many values, and for each
+    /// column with more values than trials of the sensor can have.
     pub fn needed(&self, file: &str, sensor: &ImportedSensor) -> Result<u64, Vec<Problem>> {
         let mut checks = Checks::of(file);
         let limit = format!("must be at most {IMPORTED_TRIALS_MAX}: split the file");
@@ -94,6 +102,9 @@ impl Extent {
         let texts = format!("{} bytes in a row group", self.text_bytes);
         let limit = format!("must be at most {TEXT_BYTES_AT_ONCE} bytes: write smaller row groups");
         checks.require(self.text_bytes <= TEXT_BYTES_AT_ONCE, "texts", texts, &limit);
+        let values = format!("{} of a column in a row group", self.group_values);
+        let limit = format!("must be at most {GROUP_VALUES_MAX}: write smaller row groups");
+        checks.require(self.group_values <= GROUP_VALUES_MAX, "values", values, &limit);
         let channels = sensor.channels as u64;
         for (column, number) in &self.values {
             let most = match column.as_str() {
@@ -116,7 +127,7 @@ impl Extent {
 }
 
 /// The column of a leaf.
-fn column_of(path: &str) -> &str {
+pub(super) fn column_of(path: &str) -> &str {
     path.split('.').next().unwrap_or_default()
 }
 
@@ -174,5 +185,19 @@ mod tests {
         assert!(of(TEXT_BYTES_AT_ONCE).needed("f", &pad()).is_ok());
         let refused = of(TEXT_BYTES_AT_ONCE + 1).needed("f", &pad()).unwrap_err()[0].to_string();
         assert!(refused.starts_with("f: texts = 268435457 bytes in a row group"), "{refused}");
+    }
+
+    #[test]
+    fn a_row_group_with_values_for_one_long_row_is_refused() {
+        let of = |group_values| {
+            let few = extent(1000, [(VOLTAGES_V, 4000), (CONTACTS, 0)]);
+            Extent { group_values, ..few }.needed("f", &pad())
+        };
+        assert!(of(GROUP_VALUES_MAX).is_ok());
+        let refused = of(GROUP_VALUES_MAX + 1).unwrap_err()[0].to_string();
+        assert!(
+            refused.starts_with("f: values = 268435457 of a column in a row group"),
+            "{refused}"
+        );
     }
 }

@@ -7,6 +7,7 @@ pub mod sensor;
 pub mod rows;
 mod columns;
 mod foreign;
+mod pages;
 pub mod source;
 pub mod summary;
 

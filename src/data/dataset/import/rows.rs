@@ -110,6 +110,10 @@ impl<'a> Reader<'a> {
     }
 
     fn wrong(&mut self, column: &str, value: impl std::fmt::Display, limit: impl Into<String>) {
+        // A row may have any number of them, such as a million words that are no flags.
+        if self.problems.len() >= PROBLEMS_MAX {
+            return;
+        }
         let key = format!("row {}, {column}", self.row);
         self.problems.push(Problem::new(self.file, &key, value, limit));
     }

@@ -1,5 +1,5 @@
 //! A file of trials in any format that imports read, as batches of the columns of `rows`.
-//! Uses: parquet, `columns`, `foreign`. Never: a check of a value, which is the task of `rows`.
+//! Uses: parquet, `columns`, `pages`, `foreign`. Never: a check of a value, which is the task of `rows`.
 
 use std::fs::File;
 use std::io::Read;
@@ -16,7 +16,7 @@ use super::columns::{Columns, is_read};
 use super::extent::Extent;
 use super::foreign::arrays::{Arrays, Container};
 use super::foreign::csv::Csv;
-use super::whole;
+use super::{pages, whole};
 use crate::dataset::error::DatasetError;
 
 /// Number of bytes by which a format is recognised.
@@ -89,12 +89,15 @@ impl Source {
         read.map_err(DatasetError::file("reading", path))?;
         let (schema, extent, content) = match format(&start) {
             Found::Parquet => {
+                let headers = opened.try_clone().map_err(DatasetError::file("opening", path))?;
                 let parquet = ParquetRecordBatchReaderBuilder::try_new(opened)
                     .map_err(|error| unreadable(file, &error))?;
                 // A column of another type is refused before it is read.
                 let empty = RecordBatch::new_empty(parquet.schema().clone());
                 Columns::of(file, &empty)
                     .map_err(|problem| DatasetError::Problems(vec![problem]))?;
+                pages::check(&Arc::new(headers), parquet.metadata())
+                    .map_err(|error| unreadable(file, &error))?;
                 let extent = Extent::of(parquet.metadata());
                 (parquet.schema().clone(), extent, Content::Parquet(Box::new(parquet)))
             }

@@ -12,7 +12,7 @@ use crate::simulate::schema::SIM_VOLTAGES_V;
 pub(super) enum Kind {
     /// Real numbers, or truth values.
     Numbers,
-    /// Texts of at most this number of bytes.
+    /// Texts, each of which takes at most this number of bytes of memory.
     Texts(u64),
     /// Times, ms since 1970, UTC.
     Times,

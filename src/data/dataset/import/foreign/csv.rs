@@ -22,7 +22,7 @@ use crate::dataset::import::extent::Extent;
 use crate::dataset::schema::VOLTAGES_V;
 use crate::problem::Problem;
 use crate::simulate::schema::{CONTACTS, SIM_VOLTAGES_V};
-use crate::store::Contact;
+use crate::store::{Contact, IMPORTED_CONTACTS_MAX};
 use crate::syntax::PROBLEMS_MAX;
 
 /// Separators of cells.
@@ -284,8 +284,9 @@ impl Batches {
     fn page(&mut self) -> Result<Option<RecordBatch>, DatasetError> {
         let mut page = Page::default();
         let mut record = ByteRecord::new();
-        let mut rows = 0;
-        while rows < BATCH_TRIALS && page.problems.len() < PROBLEMS_MAX {
+        let (mut rows, mut bytes) = (0, 0);
+        // Of long lines a page has fewer.
+        while rows < BATCH_TRIALS && bytes < LINE_MAX_BYTES && page.problems.len() < PROBLEMS_MAX {
             self.allowance.renew();
             let read = self.reader.read_byte_record(&mut record);
             if !read.map_err(|error| self.csv.broken(&error))? {
@@ -293,6 +294,7 @@ impl Batches {
             }
             page.push(&self.csv.file, &self.csv.layout, self.row, &record);
             rows += 1;
+            bytes += record.as_slice().len() as u64;
             self.row += 1;
         }
         if !page.problems.is_empty() {
@@ -375,12 +377,18 @@ impl Page {
         }
         if let Some(at) = layout.json {
             let cell = text(at);
-            contacts = serde_json::from_str(&cell).unwrap_or_else(|_| {
-                let limit =
-                    "must be a list of {\"x_mm\": .., \"y_mm\": .., \"force_n\": ..} as JSON";
-                wrong(CONTACTS, &cell, limit);
-                Vec::new()
-            });
+            // A contact takes 20 times the memory of its text.
+            if cell.bytes().filter(|byte| *byte == b'{').count() > IMPORTED_CONTACTS_MAX {
+                let limit = format!("must have at most {IMPORTED_CONTACTS_MAX} contacts");
+                wrong(CONTACTS, &cell, &limit);
+            } else {
+                contacts = serde_json::from_str(&cell).unwrap_or_else(|_| {
+                    let limit =
+                        "must be a list of {\"x_mm\": .., \"y_mm\": .., \"force_n\": ..} as JSON";
+                    wrong(CONTACTS, &cell, limit);
+                    Vec::new()
+                });
+            }
         }
         self.contacts.push(contacts);
         self.problems.append(&mut problems);

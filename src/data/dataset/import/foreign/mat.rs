@@ -11,6 +11,8 @@ use super::mat_element::{CELL, CHAR, Elements, Matrix, NUMBERS, character, each}
 
 /// Longest text of a cell array, characters.
 const TEXT_MAX_CHARS: usize = 100;
+/// Largest length of a character, bytes, as UTF-32 and as UTF-8.
+const CHARACTER_BYTES: usize = 4;
 
 /// Returns shape and type of each array.
 ///
@@ -31,9 +33,12 @@ pub(super) fn shapes(file: File) -> io::Result<BTreeMap<String, Shape>> {
 fn shape(matrix: &Matrix) -> Shape {
     let dims = matrix.dims.clone();
     match (matrix.class, dims.as_slice()) {
-        // A text per row.
-        (CHAR, [rows, width]) => Shape { dims: vec![*rows], kind: Kind::Texts(*width as u64) },
-        (CELL, _) => Shape { dims, kind: Kind::Texts(TEXT_MAX_CHARS as u64) },
+        // A text per row. All characters are held in UTF-32 until the texts are made of them.
+        (CHAR, [rows, width]) => {
+            let kind = Kind::Texts(width.saturating_mul(2 * CHARACTER_BYTES) as u64);
+            Shape { dims: vec![*rows], kind }
+        }
+        (CELL, _) => Shape { dims, kind: Kind::Texts((TEXT_MAX_CHARS * CHARACTER_BYTES) as u64) },
         (class, _) if NUMBERS.contains(&class) && !matrix.is_complex => {
             Shape { dims, kind: Kind::Numbers }
         }
@@ -72,11 +77,12 @@ fn values(matrix: &Matrix, elements: &mut Elements<'_>) -> io::Result<Values> {
             Ok(Values::Texts(vec![String::new(); matrix.dims.first().copied().unwrap_or_default()]))
         }
         CHAR => {
-            let codes = in_order(&matrix.dims, true, elements.numbers(count)?)?;
+            let characters = elements.numbers(count)?.map(|code| code.map(character));
+            let characters = in_order(&matrix.dims, true, characters)?;
             let width = matrix.dims.last().copied().unwrap_or_default().max(1);
-            let text = |row: &[f64]| row.iter().copied().map(character).collect::<String>();
+            let text = |row: &[char]| row.iter().collect::<String>();
             Ok(Values::Texts(
-                codes.chunks(width).map(|row| text(row).trim_end().to_owned()).collect(),
+                characters.chunks(width).map(|row| text(row).trim_end().to_owned()).collect(),
             ))
         }
         _ if is_frame(&matrix.name) => {

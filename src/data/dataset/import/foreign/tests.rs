@@ -7,12 +7,14 @@ use tempfile::NamedTempFile;
 use zip::write::SimpleFileOptions;
 use zip::{CompressionMethod, ZipWriter};
 
+use super::csv::Csv;
 use crate::dataset::error::DatasetError;
 use crate::dataset::import::coordinates::Coordinates;
 use crate::dataset::import::rows::{Reader, ignored};
 use crate::dataset::import::sensor::ImportedSensor;
 use crate::dataset::import::source::Source;
 use crate::store::{Contact, ImportedTrial};
+use crate::syntax::PROBLEMS_MAX;
 
 const PAD: &str = "name = \"pad\"\nchannels = 3\nwidth_mm = 100\nheight_mm = 80\n";
 
@@ -112,6 +114,34 @@ fn an_invalid_table_is_refused_by_row_and_column() {
         let found = refused("bad.csv", text.as_bytes());
         assert!(found.contains(wanted), "{wanted}: {found}");
     }
+}
+
+#[test]
+fn a_row_of_many_contacts_is_refused_before_it_is_parsed() {
+    let text = format!("v0,v1,v2,contacts\n1,2,3,\"{}\"\n4,5,6,[]\n", "{".repeat(65));
+    let found = refused("many.csv", text.as_bytes());
+    assert!(found.contains("row 0, contacts = {{{"), "{found}");
+    assert!(found.contains("must have at most 64 contacts"), "{found}");
+}
+
+#[test]
+fn a_row_with_many_words_that_are_no_flags_has_few_problems() {
+    let text = format!("v0,v1,v2,x_mm,y_mm,flags\n1,2,3,4,5,{}\n", "wrong ".repeat(100));
+    match read("flags.csv", text.as_bytes()) {
+        Err(DatasetError::Problems(problems)) => assert_eq!(problems.len(), PROBLEMS_MAX),
+        other => panic!("{other:?}"),
+    }
+}
+
+#[test]
+fn pages_of_long_lines_have_few_rows() {
+    let note = "n".repeat(9 << 20);
+    let text = format!("v0,v1,v2,x_mm,y_mm,note\n1,2,3,4,5,{note}\n1,2,3,4,5,{note}\n1,2,3,4,5,\n");
+    let file = NamedTempFile::new().unwrap();
+    std::fs::write(&file, text).unwrap();
+    let pages = Csv::open(file.path(), "long.csv").unwrap().batches().unwrap();
+    let rows: Vec<usize> = pages.map(|page| page.unwrap().num_rows()).collect();
+    assert_eq!(rows, [2, 1]);
 }
 
 // ---------------------------------------------------------------- NPZ
@@ -329,7 +359,8 @@ fn matrices_are_read_by_columns_compressed_or_not() {
     let mut short = vec![2, 0, 2, 0, 3, 4, 0, 0];
     let depth = matrix("depth_index", 12, &[1, 2], std::mem::take(&mut short));
     let text = matrix("comment", 4, &[1, 2], element(16, b"hi"));
-    let file = mat(&[compressed(&volts), text, xy, compressed(&depth)]);
+    let tag = matrix("tag", 4, &[2, 2], element(16, b"acbd"));
+    let file = mat(&[compressed(&volts), text, xy, compressed(&depth), tag]);
     let (trials, left_out) = read("pad.mat", &file).unwrap();
     assert_eq!(left_out, ["comment"]);
     assert_eq!(
@@ -339,6 +370,7 @@ fn matrices_are_read_by_columns_compressed_or_not() {
     assert_eq!(trials[0].contacts, [touch(10.0, 20.0, None)]);
     assert_eq!(trials[1].contacts, [touch(50.0, 60.0, None)]);
     assert_eq!((trials[0].depth_index, trials[1].depth_index), (3, 4));
+    assert_eq!((trials[0].tag.as_deref(), trials[1].tag.as_deref()), (Some("ab"), Some("cd")));
 }
 
 #[test]
@@ -358,12 +390,18 @@ fn a_damaged_or_newer_matlab_file_is_refused() {
     let xy = matrix("contacts_xy_mm", 6, &[2, 1, 2], element(2, &[1, 1, 1, 1]));
     let large = matrix("voltages_v", 6, &[2_000_000_000, 2_000_000_000], element(9, &[]));
     let few = matrix("voltages_v", 6, &[2, 3], element(9, &doubles(&[0.0; 5])));
+    // 200 MB in the file, of which each character takes up to 8 bytes.
+    let wide = [
+        matrix("voltages_v", 6, &[4_000_000, 3], element(9, &[])),
+        matrix("tag", 4, &[4_000_000, 50], element(16, &[])),
+    ];
     let mut cut = mat(&[volts, xy.clone()]);
     cut.truncate(200);
     for (bytes, wanted) in [
         (b"MATLAB 7.3 MAT-file, Platform: GLNXA64".to_vec(), "save(FILE, .., '-v7')"),
         (b"\x89HDF\r\n\x1a\n".to_vec(), "must not be HDF5"),
         (mat(&[large]), "must be at most 1073741824 in memory"),
+        (mat(&wide), "bytes = 1744000000: must be at most 1073741824 in memory"),
         (mat(&[few, xy]), "voltages_v: has 40 bytes instead of 48"),
         (cut, "must be a MAT file of version 5 to 7"),
         (b"MATLAB 5.0 MAT-file".to_vec(), "must be a MAT file of version 5 to 7"),
