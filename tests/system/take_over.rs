@@ -100,9 +100,9 @@ async fn a_homing_is_named_by_the_status_until_an_abort_ends_it() {
     // Its homing lasts until the limit of twelve seconds.
     lab.tell_rig(json!({ "cmd": "fault", "kind": "stuck_axis", "device": "x", "for_s": 6000.0 }))
         .await;
-    rig(&lab, json!({ "action": "connect" })).await;
+    lab.operate(json!({ "action": "connect" })).await;
     assert_eq!(lab.get("/api/v1/status").await["rig"]["motion"], Value::Null);
-    rig(&lab, json!({ "action": "home" })).await;
+    lab.operate(json!({ "action": "home" })).await;
     lab.until("a homing", |s| s["rig"]["motion"] == "homing").await;
     let abort = json!({ "who": "test" });
     lab.posted("/api/v1/rig/abort", abort.clone()).await;

@@ -423,8 +423,7 @@ impl Conductor {
 
     async fn say(&self, run: &RunRow, kind: &str, data: serde_json::Value) {
         if let Err(error) = self.inner.store.append_event(Some(run.uid), kind, data).await {
-            let error = error_chain(&error);
-            tracing::error!(error, kind, "an event was not stored");
+            tracing::error!(error = error_chain(&error), kind, "an event was not stored");
         }
     }
 

@@ -23,7 +23,7 @@ use crate::campaign::run::job::Job;
 use crate::campaign::run::run_state::{PausedWhy, RunEvent, RunState};
 use crate::campaign::shown::command::{Handle, Refusal, Request, channel};
 use crate::campaign::shown::show;
-use crate::campaign::shown::status::{Done, Motion, Wanted};
+use crate::campaign::shown::status::{Done, Wanted};
 use crate::clock::Clock;
 use crate::ids::{RunUid, TrialKey};
 use crate::journal::{ExitStatus, Journal};
@@ -33,6 +33,7 @@ use crate::schedule::experiment::Experiment;
 use crate::schedule::plan::{Kind, Plan};
 use crate::suspension::Suspensions;
 
+mod motions;
 mod owed;
 mod pressing;
 mod sideways;
@@ -387,50 +388,6 @@ async fn an_abort_of_a_jog_and_each_trip_for_a_person_hold_the_queue() {
     engine.control.show(|status| status.run = None);
     engine.control.latch(&Trip { kind: TripKind::Wire, detail: "no reply".into() });
     assert_eq!(signs(&engine), 3);
-}
-
-#[tokio::test]
-async fn a_homing_and_a_jog_are_shown_until_they_end() {
-    let axes = StandIns::default();
-    let (mut engine, handle) = with_handle(&axes);
-    let mut status = handle.watch_status();
-    let home = async {
-        handle.ask(Request::Home).await.unwrap();
-        drop(status.wait_for(|status| status.rig.motion == Some(Motion::Homing)).await.unwrap());
-        let ends = status.wait_for(|status| status.rig.state == RigState::Homed);
-        ends.await.unwrap().rig.motion
-    };
-    assert_eq!(answered(&mut engine, home).await, None);
-    // It moves until it is stopped.
-    *axes.x.after_start.lock() = Some(AxisStatus { moving: true, ..axes.x.present() });
-    let jog = async {
-        let further = || handle.ask(Request::Jog { axis: "x".into(), to_mm: 100.0 });
-        further().await.unwrap();
-        drop(status.wait_for(|status| status.rig.motion == Some(Motion::Jog)).await.unwrap());
-        handle.ask(Request::AbortMotion).await.unwrap();
-        axes.x.status.lock().moving = false;
-        drop(status.wait_for(|status| status.rig.motion.is_none()).await.unwrap());
-        drop(status.wait_for(|status| status.rig.safe_end.is_some()).await.unwrap());
-        further().await
-    };
-    let words = "jog is not possible within 5 s of an abort".to_owned();
-    assert_eq!(answered(&mut engine, jog).await, Err(Refusal::Busy(words)));
-    assert_eq!(engine.control.inbox.status.borrow().rig.trip, None);
-}
-
-#[tokio::test]
-async fn an_abort_while_nothing_moves_holds_the_queue_only_if_a_motion_has_just_ended() {
-    let (mut engine, handle) = with_handle(&StandIns::default());
-    let refused = Err(Refusal::State("abort is not possible: nothing moves".into()));
-    let abort = || handle.ask(Request::AbortMotion);
-    assert_eq!((answered(&mut engine, abort()).await, signs(&engine)), (refused.clone(), 0));
-    engine.home().await;
-    let before = signs(&engine);
-    assert_eq!((answered(&mut engine, abort()).await, signs(&engine)), (refused, before + 1));
-    // Of a button that is held: its jogs are shorter than the pauses between them.
-    let jog = handle.ask(Request::Jog { axis: "x".into(), to_mm: 100.0 });
-    let words = "jog is not possible within 5 s of an abort".to_owned();
-    assert_eq!(answered(&mut engine, jog).await, Err(Refusal::Busy(words)));
 }
 
 #[tokio::test]
