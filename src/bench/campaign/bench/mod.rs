@@ -5,6 +5,7 @@
 
 pub mod stage;
 pub mod travel;
+mod clear;
 pub mod descent;
 pub mod interlock;
 pub mod evidence;

@@ -2,15 +2,15 @@
 //! Uses: `schedule::configuration`, `campaign::{bench::stage, run::control, bench::interlock}`.
 //! Never: the plan, storage, a wait for the store.
 //!
-//! No lateral or radial motion unless z is measured clear of the surface.
+//! No lateral or radial motion unless z is measured clear of the surface (`clear`).
 
 use std::time::Duration;
 
-use futures::future::{try_join, try_join_all};
+use futures::future::try_join_all;
 use tokio::time::Instant;
 
 use crate::campaign::bench::interlock::{self, TripKind};
-use crate::campaign::bench::stage::{AxisName, BEYOND_TRAVEL, Driven, GRACE, LastSample, Stage};
+use crate::campaign::bench::stage::{AxisName, BEYOND_TRAVEL, Driven, GRACE, Stage};
 use crate::campaign::run::control::Control;
 use crate::campaign::run::halt::Halt;
 use crate::record::{ARMS, Pose};
@@ -21,9 +21,6 @@ use crate::schedule::configuration::Stand;
 const HOMING_S: f64 = 180.0;
 /// Longest time until a drive that was homed before begins to home, process s: it may still report its old zero.
 const HOMING_BEGINS_S: f64 = 0.2;
-/// Distance that z may sink during a lateral motion, beyond its tolerance, mm: more than an encoder jitters at rest, and
-/// less than the smallest clearance of a rig file (0.5 mm).
-const SINKS_MM: f64 = 0.2;
 /// Longest wait of those who request homing until all axes are homed, wall time.
 pub const HOMING_WAIT: Duration = Duration::from_secs(300);
 
@@ -122,12 +119,16 @@ impl Stage {
         self.held_since = None;
         let z_place = targets.iter().position(|t| t.axis == AxisName::Z);
         let longest_s = self.require_ready(control, targets).await?;
+        let mut clear_at = is_lateral.then(|| self.clock.now());
         let (began, began_s) = (self.clock.now(), self.clock.process_s());
         let (age, mut is_late) = (self.sample_age(targets), false);
         for target in targets {
+            self.require_still_clear(control, &mut clear_at).await?;
+            // What was requested since the last poll must not be answered by one more motion.
+            control.attend()?;
             // It may move although the reply is lost.
             let start = self.start_or_stop(target, age.map(|age| began + age));
-            is_late |= !self.in_time(control, self.last_sample, start).await?;
+            is_late |= !self.in_time(control, self.oldest(clear_at), start).await?;
         }
         let mut polled_s = self.clock.process_s();
         if age.is_some() {
@@ -140,11 +141,15 @@ impl Stage {
         let deadline = self.clock.now() + self.clock.wall(1.5 * longest_s + 0.5) + GRACE;
         loop {
             control.attend()?;
+            let checked_s = self.clock.process_s();
+            self.require_still_clear(control, &mut clear_at).await?;
+            // No press is polled like this: the stopping distance does not depend on it.
+            polled_s += self.clock.process_s() - checked_s;
             // z may move since the start was sent.
             let sampled = self.last_sample.map_or(began, |last| last.at.max(began));
             let poll = self.poll_or_stop(targets, polled, age.map(|age| sampled + age));
             let (statuses, reading, is_late) =
-                self.in_time(control, self.last_sample, poll).await?;
+                self.in_time(control, self.oldest(clear_at), poll).await?;
             let now_s = self.clock.process_s();
             self.stopping.note_poll(now_s - polled_s);
             polled_s = now_s;
@@ -170,11 +175,6 @@ impl Stage {
             if is_late {
                 return Ok(Ended::Late);
             }
-            if is_lateral {
-                self.require_still_clear(control).await?;
-                // No press is polled like this: the stopping distance does not depend on it.
-                polled_s = self.clock.process_s();
-            }
             self.poll_pause().await;
         }
     }
@@ -198,42 +198,35 @@ impl Stage {
             self.check_axis(target, status)?;
             longest_s = longest_s.max(predicted_s(&driven, target, status.position));
         }
-        // What was requested since the last poll must not be answered by one more motion.
-        control.attend()?;
         Ok(longest_s)
     }
 
     /// Checks that an axis is within its travel, or beyond it by no more than this, in its unit.
-    fn require_within(&self, name: AxisName, status: &AxisStatus, beyond: f64) -> Result<(), Halt> {
+    pub(super) fn require_within(
+        &self,
+        name: AxisName,
+        status: &AxisStatus,
+        beyond: f64,
+    ) -> Result<(), Halt> {
         let axis = self.driven(name).axis;
         interlock::check_position(axis.name(), status.position, axis.travel(), beyond)?;
         Ok(())
     }
 
-    /// Reads z, which must know its position and have no alarm: a lateral motion depends on it.
-    async fn known_z(&self) -> Result<AxisStatus, Halt> {
-        let z = self.bench.z.status().await?;
-        require_zero(self.bench.z.as_ref(), &z)?;
-        self.require_within(AxisName::Z, &z, BEYOND_TRAVEL)?;
-        require_no_alarm(self.bench.z.as_ref(), &z)?;
-        Ok(z)
-    }
-
     /// Waits for readings while an axis moves or homes, or for the reply to its start, and meanwhile accepts requests.
-    /// `last`: the sample before; none if there was one just now.
+    /// `last`: the oldest of the readings before on which the motion depends; none if it was just now.
     ///
     /// # Errors
     /// Trips once that is too old, although a wire still waits for a reply; otherwise as the readings and as
     /// [`Control::attend`].
-    async fn in_time<T>(
+    pub(super) async fn in_time<T>(
         &self,
         control: &mut Control,
-        last: Option<LastSample>,
+        last: Option<Instant>,
         readings: impl Future<Output = Result<T, Halt>>,
     ) -> Result<T, Halt> {
         let limit_ms = self.config.sample_age_ms();
-        let last = last.map_or_else(|| self.clock.now(), |last| last.at);
-        let due = last + Duration::from_millis(limit_ms);
+        let due = last.unwrap_or_else(|| self.clock.now()) + Duration::from_millis(limit_ms);
         let readings = control.attending(tokio::time::timeout_at(due, readings)).await?;
         readings.unwrap_or_else(|_late| {
             let detail = format!("no sample of cells and axes, limits.sample_age_ms = {limit_ms}");
@@ -312,60 +305,6 @@ impl Stage {
         Halt::trip(TripKind::Position, format!("did not arrive in time: {}", words.join(", ")))
     }
 
-    /// Checks during a lateral motion or homing that z has stayed up (a drive may lose its power, and a brake slip), and
-    /// that no cell reads a load.
-    async fn require_still_clear(&self, control: &mut Control) -> Result<(), Halt> {
-        let is_up = async {
-            let (at, clear) = (self.known_z().await?.position, self.clear_z_mm());
-            if at > clear + self.driven(AxisName::Z).tolerance + SINKS_MM {
-                let detail =
-                    format!("z sank to {at:.3} mm during a lateral motion, clear at {clear:.3}");
-                return Err(Halt::trip(TripKind::Position, detail));
-            }
-            Ok::<(), Halt>(())
-        };
-        let read = async { Ok::<_, Halt>(self.bench.cells.read().await?) };
-        let both = try_join(is_up, read);
-        let ((), reading) = self.in_time(control, None, both).await?;
-        interlock::check_unloaded(&self.config.cells, self.tips, &reading, &self.tare_v)?;
-        Ok(())
-    }
-
-    /// Checks before a lateral motion or homing, and before hands are called to the tips, that z is measured clear of the
-    /// surface, and that the cells do not contradict it.
-    ///
-    /// # Errors
-    /// A trip if not, or if a device does not reply; a request meanwhile.
-    pub(in crate::campaign) async fn require_clear(
-        &self,
-        control: &mut Control,
-    ) -> Result<(), Halt> {
-        let (clear, tolerance) = (self.clear_z_mm(), self.driven(AxisName::Z).tolerance);
-        // A module that converts slowly still returns the load before the raise, and one that hangs needs some updates
-        // to show it.
-        let cells = &self.config.cells;
-        let updates_s = f64::from(cells.repeats_max() + 2) * cells.update_ms / 1e3;
-        let deadline = self.clock.now() + self.clock.wall(updates_s);
-        loop {
-            let asked = self.clock.now();
-            let reading = control.attending(self.bench.cells.read()).await?;
-            // Read after each reply of the cells: z may have sunk while they were awaited.
-            let z = control.attending(self.known_z()).await??;
-            if z.moving || z.position > clear + tolerance {
-                let at = z.position;
-                let detail =
-                    format!("lateral motion refused: z at {at:.3} mm, clear at {clear:.3}");
-                return Err(Halt::trip(TripKind::Position, detail));
-            }
-            match interlock::check_unloaded(cells, self.tips, &reading?, &self.tare_v) {
-                Ok(()) => return Ok(()),
-                Err(trip) if asked > deadline => return Err(trip.into()),
-                Err(_) => self.poll_pause().await,
-            }
-            control.attend()?;
-        }
-    }
-
     /// Moves over a stand. The radius is always approached from below, so that the backlash of the
     /// slot has no effect.
     ///
@@ -419,23 +358,24 @@ impl Stage {
             false => None,
         };
         control.attending(self.read_homing(names)).await??;
-        control.attend()?;
+        let mut clear_at = (!homes_z).then(|| self.clock.now());
         for &name in names {
+            self.require_still_clear(control, &mut clear_at).await?;
+            control.attend()?;
             // It may home although the reply is lost.
             let start = async { Ok::<_, Halt>(self.driven(name).axis.start_home().await?) };
-            self.in_time(control, None, start).await?;
+            self.in_time(control, clear_at, start).await?;
         }
         let begun = self.clock.now();
         let deadline = begun + self.clock.wall(HOMING_S) + GRACE;
         loop {
             control.attend()?;
-            if !homes_z {
-                self.require_still_clear(control).await?;
-            } else if let Some(now) = control.attending(self.cells_in_time()).await? {
+            self.require_still_clear(control, &mut clear_at).await?;
+            if homes_z && let Some(now) = control.attending(self.cells_in_time()).await? {
                 interlock::check_rises(&self.config.cells, first.get_or_insert(now), &now)?;
             }
             let has_begun = self.clock.now() >= begun + self.clock.wall(HOMING_BEGINS_S);
-            let read = self.in_time(control, None, self.read_homing(names)).await?;
+            let read = self.in_time(control, clear_at, self.read_homing(names)).await?;
             if has_begun && read.iter().all(|s| s.homed && !s.moving) {
                 let mut ends = names.iter().zip(&read);
                 return ends.try_for_each(|(&n, s)| self.require_within(n, s, BEYOND_TRAVEL));
@@ -478,13 +418,13 @@ pub(in crate::campaign) fn predicted_s(driven: &Driven<'_>, target: &Target, fro
     (target.position - from).abs() / rounded + 2.0 * speed / driven.acceleration
 }
 
-fn require_no_alarm(axis: &dyn Axis, status: &AxisStatus) -> Result<(), Halt> {
+pub(super) fn require_no_alarm(axis: &dyn Axis, status: &AxisStatus) -> Result<(), Halt> {
     let Some(alarm) = status.alarm else { return Ok(()) };
     Err(Halt::trip(TripKind::Device, format!("{} reports alarm {alarm:#x}", axis.name())))
 }
 
 /// A drive that restarted may have lost its zero: its positions, and the targets of its motions, would be wrong.
-fn require_zero(axis: &dyn Axis, status: &AxisStatus) -> Result<(), Halt> {
+pub(super) fn require_zero(axis: &dyn Axis, status: &AxisStatus) -> Result<(), Halt> {
     if status.homed {
         return Ok(());
     }

@@ -332,6 +332,41 @@ async fn no_axis_goes_on_while_the_wire_still_waits_for_the_reply_to_its_start()
 }
 
 #[tokio::test]
+async fn no_axis_goes_on_sideways_while_z_is_read_too_rarely_although_each_reply_is_in_time() {
+    // Neither the reply of z nor the one that is awaited before it takes too long, but both together do.
+    for (homes, is_start_slow) in [(false, false), (false, true), (true, false), (true, true)] {
+        let axes = StandIns::default();
+        let mut engine = engine(&axes);
+        // It moves until it is stopped.
+        *axes.x.after_start.lock() = Some(AxisStatus { moving: true, ..axes.x.present() });
+        *axes.x.starts_take.lock() = Duration::from_millis(20);
+        let stage = engine.connection.as_mut().unwrap().stage.as_mut().unwrap();
+        stage.config.limits.sample_age_ms = Some(300);
+        let control = &mut engine.control;
+        let moves = async {
+            if homes {
+                return stage.home(control, None).await;
+            }
+            let targets = [Target::of(AxisName::X, 100.0), Target::of(AxisName::Y, 100.0)];
+            stage.travel(control, &targets).await
+        };
+        let slows = async {
+            while axes.x.starts.load(Ordering::SeqCst) == 0 {
+                tokio::time::sleep(Duration::from_millis(1)).await;
+            }
+            let slow = if is_start_slow { &axes.y.starts_take } else { &axes.x.status_takes };
+            for takes in [slow, &axes.z.status_takes] {
+                *takes.lock() = Duration::from_millis(200);
+            }
+        };
+        // In this order: if both are due, they are slow before the start is acknowledged.
+        let ((), moved) = futures::join!(slows, tokio::time::timeout(ENDS_WITHIN, moves));
+        let halt = moved.expect("it ends").unwrap_err();
+        assert_eq!(halt.as_trip().map(|trip| trip.kind), Some(TripKind::Stale), "{halt:?}");
+    }
+}
+
+#[tokio::test]
 async fn no_axis_goes_on_homing_without_its_status_or_the_reply_to_its_start() {
     for (name, is_started) in
         [(AxisName::Z, true), (AxisName::Z, false), (AxisName::X, true), (AxisName::X, false)]
