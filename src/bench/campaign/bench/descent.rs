@@ -1,12 +1,13 @@
 //! Descents of z at the speed of a press: z is stopped where a sample meets a condition, and where a sample, or the reply
 //! to the start, comes late.
-//! Uses: `campaign::{bench::stage, bench::travel, bench::interlock, run::control}`. Never: the plan, storage, another
-//! axis.
+//! Uses: `campaign::{bench::stage, bench::travel, bench::interlock, bench::estop, run::control}`. Never: the plan,
+//! storage, another axis.
 
 use std::time::Duration;
 
 use tokio::time::Instant;
 
+use crate::campaign::bench::estop::{RestReadings, STAND_PAUSE};
 use crate::campaign::bench::interlock::TripKind;
 use crate::campaign::bench::stage::{AxisName, GRACE, Stage};
 use crate::campaign::bench::travel::{Ended, Polled, Sample, Target};
@@ -88,12 +89,15 @@ impl Stage {
         Ok(())
     }
 
-    /// Waits until z is at rest after its stop, and checks every sample meanwhile. Returns its height, machine mm.
+    /// Waits until two readings show z at rest after its stop, and checks every sample meanwhile. Returns its height,
+    /// machine mm.
     async fn z_at_rest(&mut self, control: &mut Control) -> Result<f64, Halt> {
         let deadline = self.clock.now() + self.clock.wall(2.0) + GRACE;
+        let apart = self.clock.wall(STAND_PAUSE.as_secs_f64());
+        let mut readings = RestReadings::default();
         loop {
             let z = control.attending(self.bench.z.status()).await??;
-            if !z.moving {
+            if readings.show_rest(&z, apart) {
                 return Ok(z.position);
             }
             control.attend()?;

@@ -17,15 +17,15 @@ use tokio::time::Instant;
 use utoipa::ToSchema;
 
 use crate::rig::link::StopLatch;
-use crate::rig::traits::{Axis, Bench};
+use crate::rig::traits::{Axis, AxisStatus, Bench};
 
 /// Pause before a stop that was not acknowledged is sent again. Once the wire works again, the stop
 /// is sent within this time.
 const RESEND_PAUSE: Duration = Duration::from_millis(50);
 /// Longest time from an acknowledged stop until the axis stands; then the stop is sent again.
 const STANDS_WITHIN: Duration = Duration::from_secs(2);
-/// Pause between two readings of an axis that has acknowledged its stop.
-const STAND_PAUSE: Duration = Duration::from_millis(50);
+/// Shortest time between two readings that show an axis at rest after its stop, also their pause.
+pub(super) const STAND_PAUSE: Duration = Duration::from_millis(50);
 /// Largest change of position between two readings of an axis at rest, in its unit.
 const STAND_CHANGE: f64 = 0.025;
 
@@ -273,24 +273,44 @@ impl StopSwitch {
     }
 }
 
-/// Reads an axis that has acknowledged its stop until it stands: two readings in a row at rest, at one place. A drive
-/// in alarm reports rest even if its axis coasts.
+/// Readings of an axis after its stop. A drive in alarm reports rest even if its axis coasts: it stands once two readings
+/// show it at rest at one place.
+#[derive(Debug, Default)]
+pub(super) struct RestReadings {
+    /// Time and position of the first of the last readings at rest.
+    first: Option<(Instant, f64)>,
+}
+
+impl RestReadings {
+    /// Takes a reading. Returns whether the axis has been at rest since one at least `apart` earlier, wall time.
+    pub(super) fn show_rest(&mut self, now: &AxisStatus, apart: Duration) -> bool {
+        let at = Instant::now();
+        let is_there = |place: f64| (now.position - place).abs() <= STAND_CHANGE;
+        match self.first {
+            Some((since, place)) if !now.moving && is_there(place) => at - since >= apart,
+            _ => {
+                self.first = (!now.moving).then_some((at, now.position));
+                false
+            }
+        }
+    }
+}
+
+/// Reads an axis that has acknowledged its stop until it stands.
 pub(in crate::campaign) async fn stands(axis: &dyn Axis) -> Result<(), String> {
     let deadline = Instant::now() + STANDS_WITHIN;
-    let mut last: Option<f64> = None;
+    let mut readings = RestReadings::default();
     loop {
         let now = match axis.status().await {
             Ok(now) => now,
             Err(error) => return Err(format!("acknowledged, and not known to stand: {error}")),
         };
-        let is_there = last.is_some_and(|last| (now.position - last).abs() <= STAND_CHANGE);
-        if !now.moving && is_there {
+        if readings.show_rest(&now, STAND_PAUSE) {
             return Ok(());
         }
         if Instant::now() > deadline {
             return Err("acknowledged, and STILL MOVES".into());
         }
-        last = Some(now.position);
         tokio::time::sleep(STAND_PAUSE).await;
     }
 }

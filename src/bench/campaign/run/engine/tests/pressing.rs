@@ -90,6 +90,35 @@ async fn a_press_that_was_late_does_not_continue_if_the_sample_at_rest_meets_its
 }
 
 #[tokio::test]
+async fn a_press_ends_only_once_two_readings_show_z_at_rest() {
+    let axes = StandIns::default();
+    let mut engine = engine(&axes);
+    let stage = engine.connection.as_mut().unwrap().stage.as_mut().unwrap();
+    stage.config.limits.sample_age_ms = Some(60_000);
+    let moving = AxisStatus { position: 5.0, moving: true, ..axes.z.present() };
+    *axes.z.after_start.lock() = Some(moving);
+    let descent = Descent { z_mm: 10.0, speed_mm_s: 3.0 };
+    let control = &mut engine.control;
+    let press = async {
+        let pressed = stage.press_until(control, descent, |_| true).await;
+        (pressed, axes.z.present().position)
+    };
+    // After its stop it reports rest, and coasts.
+    let coasts = async {
+        stopped(&axes, 1).await;
+        for position in [5.5, 6.0, 6.5, 7.0] {
+            *axes.z.status.lock() = AxisStatus { position, moving: false, ..moving };
+            tokio::time::sleep(Duration::from_millis(40)).await;
+        }
+    };
+    // In this order: if both are due, z is elsewhere before it is read again.
+    let (coasted, (pressed, end_mm)) =
+        futures::join!(tokio::time::timeout(HAPPENS_WITHIN, coasts), press);
+    assert!(matches!(pressed, Ok(true)) && coasted.is_ok(), "{pressed:?}");
+    assert_eq!(end_mm, 7.0);
+}
+
+#[tokio::test]
 async fn a_press_whose_samples_are_late_at_the_slowest_motion_of_the_drive_trips() {
     let axes = StandIns::default();
     let mut engine = engine(&axes);
