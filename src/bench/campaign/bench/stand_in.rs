@@ -55,6 +55,8 @@ pub struct StandIn {
     pub slowest: Mutex<f64>,
     /// Speed of the last motion that was requested, units/s.
     pub speed: Mutex<f64>,
+    /// Targets of the motions that were requested, in its unit.
+    pub targets: Mutex<Vec<f64>>,
     /// Stops that it received.
     pub stops: AtomicU64,
 }
@@ -81,6 +83,7 @@ impl StandIn {
             status_takes: Mutex::default(),
             slowest: Mutex::default(),
             speed: Mutex::default(),
+            targets: Mutex::default(),
             stops: AtomicU64::default(),
         })
     }
@@ -155,6 +158,7 @@ impl Axis for StandIn {
 
     async fn start_move(&self, target: f64, speed: f64) -> Result<(), RigError> {
         *self.speed.lock() = speed;
+        self.targets.lock().push(target);
         self.start("move", AxisStatus { position: target, ..self.present() })?;
         wait(&self.starts_take).await;
         Ok(())
@@ -185,6 +189,8 @@ pub struct Cells {
     pub replies: AtomicBool,
     /// Time that a reply takes, wall time.
     pub takes: Mutex<Duration>,
+    /// z, and the height from which on arm 1 touches the skin, machine mm; none: no arm does.
+    pub surface: Mutex<Option<(Arc<StandIn>, f64)>>,
 }
 
 #[async_trait]
@@ -199,7 +205,14 @@ impl LoadCells for Cells {
             return Err(RigError::NoReply { device, operation, timeout_ms: 300 });
         }
         wait(&self.takes).await;
-        Ok(CellVolts { volts: *self.volts.lock(), repeats: [0; ARMS], at: Instant::now() })
+        let mut volts = *self.volts.lock();
+        if let Some((z, at_mm)) = self.surface.lock().as_ref()
+            && z.present().position >= *at_mm
+        {
+            // A few newtons.
+            volts[0] += 0.1;
+        }
+        Ok(CellVolts { volts, repeats: [0; ARMS], at: Instant::now() })
     }
 }
 
@@ -251,7 +264,8 @@ impl Default for StandIns {
     fn default() -> Self {
         let [x, y, z, radial] = ["x", "y", "z", "radial"].map(StandIn::new);
         let (volts, replies) = (Mutex::new([0.5; ARMS]), AtomicBool::new(true));
-        let cells = Arc::new(Cells { volts, replies, takes: Mutex::default() });
+        let cells =
+            Arc::new(Cells { volts, replies, takes: Mutex::default(), surface: Mutex::default() });
         Self { x, y, z, radial, cells, journal: Arc::default() }
     }
 }

@@ -83,16 +83,16 @@ fn require_every_arm(tips: u8, touches: &[ArmTouch]) -> Result<(), Halt> {
         return Ok(());
     }
     let detail = format!(
-        "arm {} touched nowhere in the touch-off, with {tips} tips mounted: check that its tip is \
-         mounted and its cell responds",
+        "arm {} touched nowhere in the touch-off (skin.surface_z_mm, skin.search_below_mm), with \
+         {tips} tips mounted: check that its tip is mounted and its cell responds",
         silent.join(", ")
     );
     Err(Halt::trip(TripKind::Cell, detail))
 }
 
 /// Depth to which the surface may be searched, machine mm: never past the window of the rig file.
-/// If the height is expected, from the rig file or from an earlier place, at most `search_below_mm`
-/// below it.
+/// If the height is expected, from the rig file, an earlier place or the coarse approach, at most
+/// `search_below_mm` below it.
 fn deepest_search_mm(stage: &Stage, known_mm: Option<f64>) -> f64 {
     let place = &stage.config.skin;
     let [_, bottom] = place.surface_z_mm;
@@ -146,11 +146,7 @@ async fn touch(
         None => search(stage, control, to_bottom, touched).await?,
     };
     if !felt {
-        let detail = format!(
-            "no cell detected the surface down to z = {bottom:.3} mm (skin.surface_z_mm, \
-             skin.expected_z_mm, skin.search_below_mm)"
-        );
-        return Err(Halt::trip(TripKind::Position, detail));
+        return Err(no_surface(bottom));
     }
     for _ in 0..APPROACHES {
         let felt_mm = back_off(stage, control).await?;
@@ -159,7 +155,7 @@ async fn touch(
             continue;
         }
         let fine = (BLUR_MM / stage.stopping.blind_s(&stage.config)).min(coarse);
-        let deepest = (felt_mm + stage.config.skin.search_below_mm).min(z.travel_mm[1]);
+        let deepest = deepest_search_mm(stage, Some(felt_mm));
         let mut heights = Heights::default();
         stage
             .press_until(control, Descent { z_mm: deepest, speed_mm_s: fine }, |s| {
@@ -167,8 +163,13 @@ async fn touch(
                 heights.are_complete(tips) || (0..tips).any(|i| force(s, i) > ENOUGH_N)
             })
             .await?;
+        let found = heights.found();
+        // A place where no tip touches again is omitted, but not at the end of the window: the surface may be below it.
+        if found.is_empty() && deepest < felt_mm + stage.config.skin.search_below_mm {
+            return Err(no_surface(deepest));
+        }
         if !heights.is_blurred {
-            return Ok(heights.found());
+            return Ok(found);
         }
     }
     let detail = format!(
@@ -176,6 +177,14 @@ async fn touch(
          samples came later than {BLURRED_MM} mm of travel"
     );
     Err(Halt::trip(TripKind::Stale, detail))
+}
+
+fn no_surface(down_to_mm: f64) -> Halt {
+    let detail = format!(
+        "no cell detected the surface down to z = {down_to_mm:.3} mm (skin.surface_z_mm, \
+         skin.expected_z_mm, skin.search_below_mm)"
+    );
+    Halt::trip(TripKind::Position, detail)
 }
 
 /// Raises the tips from where they touch, and waits until the module has converted there: its next reply

@@ -3,13 +3,15 @@
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 
-use super::engine;
+use super::{engine, job};
 use crate::campaign::bench::descent::Descent;
 use crate::campaign::bench::interlock::TripKind;
 use crate::campaign::bench::stage::AxisName;
 use crate::campaign::bench::stand_in::StandIns;
+use crate::campaign::bench::touch_off;
 use crate::campaign::bench::travel::{Target, predicted_s};
 use crate::rig::traits::AxisStatus;
+use crate::schedule::plan::Step;
 
 /// Longest wait of a test for what must happen, also on a loaded machine.
 const HAPPENS_WITHIN: Duration = Duration::from_secs(30);
@@ -190,6 +192,47 @@ async fn the_first_sample_of_a_press_is_late_from_when_its_start_was_sent() {
     let (pressed, late) = tokio::join!(press, tokio::time::timeout(HAPPENS_WITHIN, late));
     assert!(late.is_ok() && pressed.is_ok(), "{pressed:?}");
     assert_eq!(axes.z.present().position, 10.0);
+}
+
+#[tokio::test]
+async fn a_touch_off_searches_no_tip_below_the_window_of_the_surface() {
+    let job = job();
+    let place = job.plan.steps.iter().find_map(|step| match step {
+        Step::TouchOff { places, .. } => places.first().cloned(),
+        _ => None,
+    });
+    let places = [place.expect("a touch-off")];
+    for (is_felt_again, kind, words) in [
+        (true, TripKind::Cell, "arm 2 touched nowhere in the touch-off (skin.surface_z_mm"),
+        (false, TripKind::Position, "no cell detected the surface down to z = 70.000 mm (skin."),
+    ] {
+        let axes = StandIns::default();
+        let mut engine = engine(&axes);
+        let stage = engine.connection.as_mut().unwrap().stage.as_mut().unwrap();
+        stage.config.limits.sample_age_ms = Some(60_000);
+        stage.config.limits.frame_age_ms = 60_000;
+        stage.tips = 2;
+        let [_, bottom_mm] = stage.config.skin.surface_z_mm;
+        // No arm but the first touches.
+        *axes.cells.surface.lock() = Some((axes.z.clone(), bottom_mm - 1.0));
+        let at = jiff::Timestamp::now();
+        let touches = touch_off::touch_off(stage, &mut engine.control, &places, 1, at);
+        let sinks = async {
+            stopped(&axes, 1).await;
+            if !is_felt_again {
+                *axes.cells.surface.lock() = None;
+            }
+        };
+        // In this order: if both are due, the surface has sunk before the tips are raised from it.
+        let (sunk, touched) = futures::join!(tokio::time::timeout(HAPPENS_WITHIN, sinks), touches);
+        assert!(sunk.is_ok(), "{touched:?}");
+        let halt = touched.unwrap_err();
+        let trip = halt.as_trip().expect("a trip");
+        assert_eq!(trip.kind, kind, "{}", trip.detail);
+        assert!(trip.detail.starts_with(words), "{}", trip.detail);
+        let deepest_mm = axes.z.targets.lock().iter().copied().fold(0.0, f64::max);
+        assert_eq!(deepest_mm, bottom_mm);
+    }
 }
 
 #[tokio::test]
