@@ -18,7 +18,7 @@ use futures::future::join_all;
 use serde_json::json;
 use tokio::time::Instant;
 
-use crate::campaign::bench::estop::{AxisStop, stands};
+use crate::campaign::bench::estop::{AxisStop, StopSwitch, stands};
 use crate::campaign::bench::interlock::{Trip, TripKind};
 use crate::campaign::bench::stage::{Height, Raised, Stage};
 use crate::campaign::run::control::Control;
@@ -57,7 +57,7 @@ pub async fn make_safe(
     let lateral = [&bench.x, &bench.y, &bench.radial];
     // z first: on a shared wire each stop waits for those before it.
     let ((z_stop, (tips, deepest_mm)), mut stops) = futures::join!(
-        stop_and_raise(control, stage, began, height),
+        stop_and_raise(&control.estop, stage, began, height),
         join_all(lateral.map(|axis| stop(axis.as_ref(), began)))
     );
     let stopped = z_stop.acknowledged_ms.map(|ms| began + Duration::from_secs_f64(ms / 1e3));
@@ -105,16 +105,16 @@ pub async fn make_safe(
 }
 
 /// Raises z, with a few attempts. Returns the deepest position of z on the way as well, machine mm.
-async fn raise(control: &Control, stage: &Stage, height: Height) -> (Tips, Option<f64>) {
+async fn raise(estop: &StopSwitch, stage: &Stage, height: Height) -> (Tips, Option<f64>) {
     let mut last = String::new();
     for attempt in 0..RAISE_TRIES {
         if attempt > 0 {
             tokio::time::sleep(RAISE_AGAIN).await;
         }
-        if control.estop.pressed().is_some() {
+        if estop.pressed().is_some() {
             return (Tips::HeldByEstop, None);
         }
-        match stage.raise_once(height, &control.estop).await {
+        match stage.raise_once(height, estop).await {
             // After a failed attempt the deepest position may have passed unread.
             Ok(Raised::Up { deepest_mm }) => {
                 return (Tips::Raised, (attempt == 0).then_some(deepest_mm));
@@ -123,18 +123,22 @@ async fn raise(control: &Control, stage: &Stage, height: Height) -> (Tips, Optio
             Err(error) => last = error,
         }
     }
-    let held = control.estop.pressed().is_some();
+    let held = estop.pressed().is_some();
     (if held { Tips::HeldByEstop } else { Tips::NotRaised(last) }, None)
 }
 
-/// Raises z as planned, after a configuration.
+/// Raises z as planned, after a configuration. Requests are accepted meanwhile, and end it once z is up: a stop would
+/// leave the tips down.
 ///
 /// # Errors
-/// Trips unless the tips are raised.
-pub async fn raise_as_planned(control: &Control, stage: &mut Stage) -> Result<(), Halt> {
+/// Trips unless the tips are raised; as `attend` once they are.
+pub async fn raise_as_planned(control: &mut Control, stage: &mut Stage) -> Result<(), Halt> {
     stage.begin_watch();
-    match raise(control, stage, Height::Clear).await.0 {
-        Tips::Raised => Ok(()),
+    let estop = control.estop.clone();
+    let raised = raise(&estop, stage, Height::Clear);
+    let ((tips, _), asked) = control.attending_to_the_end(raised).await;
+    match tips {
+        Tips::Raised => asked,
         Tips::HeldByEstop => Err(Halt::trip(TripKind::Estop, "the emergency stop is latched")),
         Tips::NotHomed => Err(Halt::trip(TripKind::Position, "z has lost its zero: home")),
         Tips::NotRaised(why) => Err(Halt::trip(TripKind::Position, format!("not raised: {why}"))),
@@ -142,13 +146,13 @@ pub async fn raise_as_planned(control: &Control, stage: &mut Stage) -> Result<()
 }
 
 async fn stop_and_raise(
-    control: &Control,
+    estop: &StopSwitch,
     stage: &Stage,
     began: Instant,
     height: Height,
 ) -> (AxisStop, (Tips, Option<f64>)) {
     let stopped = stop(stage.bench.z.as_ref(), began).await;
-    (stopped, raise(control, stage, height).await)
+    (stopped, raise(estop, stage, height).await)
 }
 
 async fn stop(axis: &dyn Axis, began: Instant) -> AxisStop {

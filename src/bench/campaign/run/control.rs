@@ -269,6 +269,25 @@ impl Control {
         }
     }
 
+    /// As `attending`, for a raise, which no request ends. Returns its result, and that of `attend` meanwhile.
+    ///
+    /// # Errors
+    /// The first one of `attend`, next to the result.
+    pub async fn attending_to_the_end<T>(
+        &mut self,
+        raise: impl Future<Output = T>,
+    ) -> (T, Result<(), Halt>) {
+        let mut raise = std::pin::pin!(raise);
+        let mut asked = Ok(());
+        loop {
+            tokio::select! {
+                biased;
+                done = &mut raise => return (done, asked),
+                () = tokio::time::sleep(REQUESTS_POLL) => asked = asked.and(self.attend()),
+            }
+        }
+    }
+
     /// Waits until all notes are durable. For use at rest.
     ///
     /// # Errors

@@ -278,7 +278,7 @@ impl Engine {
         job: &Job,
         step: &Step,
         progress: &mut Progress,
-        attempts: &Attempts,
+        attempts: &mut Attempts,
     ) -> Result<u32, Halt> {
         if let Step::TipChange { setting, tips } = step {
             if self.prepared_setting != Some(*setting) {
@@ -329,8 +329,12 @@ impl Engine {
                 let pressed = async {
                     let stored = pressing.configuration(stage, control, c, &pending).await?;
                     control.phase(Phase::Raise);
-                    raise_as_planned(control, stage).await?;
-                    Ok::<u32, Halt>(stored)
+                    let raised = raise_as_planned(control, stage).await;
+                    if matches!(raised, Err(Halt::Asked)) {
+                        // What comes next is another configuration.
+                        attempts.of_configuration = 1;
+                    }
+                    raised.map(|()| stored)
                 };
                 let stored = pressed.instrument(configuration_span(c.index, c.tips)).await?;
                 progress.stored.extend(

@@ -1,8 +1,11 @@
 //! A homing and a jog outside a run: what the status shows, and what an abort ends.
 
+use std::sync::atomic::Ordering;
+use std::time::Duration;
+
 use super::{answered, signs, with_handle};
 use crate::campaign::bench::rig_state::RigState;
-use crate::campaign::bench::stand_in::StandIns;
+use crate::campaign::bench::stand_in::{StandIn, StandIns};
 use crate::campaign::shown::command::{Refusal, Request};
 use crate::campaign::shown::status::Motion;
 use crate::rig::traits::AxisStatus;
@@ -33,6 +36,36 @@ async fn a_homing_and_a_jog_are_shown_until_they_end() {
     };
     let words = "jog is not possible within 5 s of an abort".to_owned();
     assert_eq!(answered(&mut engine, jog).await, Err(Refusal::Busy(words)));
+    assert_eq!(engine.control.inbox.status.borrow().rig.trip, None);
+}
+
+#[tokio::test]
+async fn an_abort_during_a_raise_is_accepted_at_once_and_ends_the_motion_once_z_is_up() {
+    let axes = StandIns::default();
+    let (mut engine, handle) = with_handle(&axes);
+    assert!(engine.home().await);
+    let starts = |axis: &StandIn| axis.starts.load(Ordering::SeqCst);
+    let (x_starts, z_starts) = (starts(&axes.x), starts(&axes.z));
+    // Below the clearance, to which a lateral jog raises it first; it moves until it is up.
+    let down = AxisStatus { position: 60.0, ..axes.z.present() };
+    *axes.z.status.lock() = down;
+    *axes.z.after_start.lock() = Some(AxisStatus { position: 55.0, moving: true, ..down });
+    let mut status = handle.watch_status();
+    let jog = async {
+        handle.ask(Request::Jog { axis: "x".into(), to_mm: 100.0 }).await.unwrap();
+        while starts(&axes.z) == z_starts {
+            tokio::time::sleep(Duration::from_millis(1)).await;
+        }
+        let aborted = handle.ask(Request::AbortMotion).await;
+        let stops = axes.stops();
+        *axes.z.status.lock() = AxisStatus { position: 40.0, ..down };
+        drop(status.wait_for(|status| status.rig.safe_end.is_some()).await.unwrap());
+        (aborted, stops)
+    };
+    let jog = tokio::time::timeout(Duration::from_secs(30), jog);
+    let (aborted, stops) = answered(&mut engine, jog).await.expect("it ends");
+    assert_eq!((aborted, stops), (Ok(()), 0), "accepted while z rises, which no stop ends");
+    assert_eq!(starts(&axes.x), x_starts);
     assert_eq!(engine.control.inbox.status.borrow().rig.trip, None);
 }
 
