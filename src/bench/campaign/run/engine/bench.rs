@@ -50,7 +50,8 @@ const DECELERATION_POLL: Duration = Duration::from_millis(10);
 impl Engine {
     /// Accepts a request that concerns only the rig.
     pub(super) async fn rig_request(&mut self, envelope: Envelope) {
-        let Envelope { request, answer, presses, .. } = envelope;
+        let Envelope { request, answer, presses, decided_at, .. } = envelope;
+        self.decided_at = decided_at;
         let refused = {
             let status = self.control.inbox.status.borrow();
             request.rig_action().and_then(|action| action.refused_by_rig(&status.rig))
@@ -331,11 +332,14 @@ impl Engine {
     }
 
     /// No axis is moved that has not acknowledged its stop, or moves after it: a safe end that is not complete is
-    /// repeated first.
+    /// repeated first. That takes a while: a lock that was taken after the request was decided holds.
     async fn require_complete(&mut self, answer: &Answer) -> Result<(), Refusal> {
         if let Owed::Wires(_, height) = self.owed {
             self.repeat_safe_end(height).await;
             self.require_nothing_owed()?;
+            if let Some(awaited) = self.control.taken_lock(self.decided_at).await {
+                return Err(Refusal::Busy(format!("nothing moves before {awaited}")));
+            }
         }
         if answer.is_closed() { Err(Refusal::Gone) } else { Ok(()) }
     }

@@ -137,7 +137,7 @@ struct Engine {
     aborted_at: Option<Instant>,
     /// When the driven run halted last.
     halted_at: Moment,
-    /// When the newest request to begin or to resume a run was decided.
+    /// When the newest request that may move the rig was decided.
     decided_at: Moment,
     /// Span of the driven run, for the log; none outside a run.
     driven: Span,

@@ -4,6 +4,7 @@ use std::sync::atomic::Ordering;
 use std::time::Duration;
 
 use tokio::sync::oneshot;
+use tokio::time::Instant;
 
 use super::super::{Attempts, Engine, Next, OWED_AGAIN, Owed};
 use super::{answered, engine, job, with_handle};
@@ -53,6 +54,34 @@ async fn nothing_moves_on_request_while_an_axis_owes_the_acknowledgement_of_its_
     }
     assert_eq!(axes.y.starts.load(Ordering::SeqCst), 0);
     axes.x.replies.store(true, Ordering::SeqCst);
+    assert_eq!(answered(&mut engine, handle.ask(jog())).await, Ok(()));
+}
+
+#[tokio::test]
+async fn nothing_moves_under_a_lock_that_was_taken_while_the_safe_end_was_completed_first() {
+    let axes = StandIns::default();
+    let (mut engine, handle) = with_handle(&axes);
+    engine.control.rig_event(RigEvent::Homed).unwrap();
+    // Only the request completes it.
+    engine.owed_pause = Duration::from_secs(3600);
+    let jog = || Request::Jog { axis: "y".into(), to_mm: 10.0 };
+    let lock = |taken_s: i64| {
+        let at = jiff::Timestamp::now() + jiff::SignedDuration::from_secs(taken_s);
+        *axes.journal.locked_at.lock() = Some(at);
+    };
+    for request in [jog(), Request::Home] {
+        engine.owed = Owed::Wires(Instant::now(), Height::Clear);
+        lock(60);
+        let refused = answered(&mut engine, handle.ask(request)).await;
+        let Err(Refusal::Busy(words)) = &refused else { panic!("{refused:?}") };
+        let expected = "nothing moves before the release of the operator lock (ada";
+        assert!(words.starts_with(expected), "{words}");
+        assert_eq!(engine.owed, Owed::Nothing);
+    }
+    assert_eq!(axes.y.starts.load(Ordering::SeqCst), 0);
+    // The caller of a later request knows of it.
+    engine.owed = Owed::Wires(Instant::now(), Height::Clear);
+    lock(-60);
     assert_eq!(answered(&mut engine, handle.ask(jog())).await, Ok(()));
 }
 
