@@ -90,6 +90,11 @@ impl Conductor {
                 Err(ConductorError::Refused(Refusal::Busy(_) | Refusal::Gone)) => {
                     return Ok(Some(BUSY_AGAIN));
                 }
+                // The store may answer again, and nothing was requested of the rig.
+                Err(ConductorError::Store(error)) if !error.is_refusal() => {
+                    tracing::warn!(error = error_chain(&error), "the next run did not start yet");
+                    return Ok(Some(BUSY_AGAIN));
+                }
                 Err(error) => self.drop_waiting(run, &error.to_string()).await?,
             }
         }
@@ -426,6 +431,29 @@ mod tests {
         tokio::time::sleep(Duration::from_millis(20)).await;
         store.set_lock("bob", "hands in the rig").await.unwrap();
         assert!(is_lost(&second).await);
+    }
+
+    #[tokio::test]
+    async fn a_run_does_not_lose_its_turn_because_the_store_fails() {
+        let (conductor, _inbox, _folder) = conductor().await;
+        let run = queued(&conductor, None).await;
+        conductor.inner.store.set_waiting(run.uid).await.unwrap();
+        conductor.let_wait([run.uid]);
+        let one_at_a_time = conductor.inner.beginning.lock().await;
+        let fails = async {
+            tokio::time::sleep(Duration::from_millis(100)).await;
+            conductor.inner.store.close().await;
+            drop(one_at_a_time);
+        };
+        let (begun, ()) = tokio::join!(conductor.begin_next(Timestamp::now()), fails);
+        // On a slow machine it fails before it has read which runs wait.
+        let is_later = match &begun {
+            Ok(pause) => *pause == Some(BUSY_AGAIN),
+            Err(error) => matches!(error, ConductorError::Store(_)),
+        };
+        assert!(is_later, "{begun:?}");
+        assert!(conductor.waiting().contains(&run.uid));
+        assert_eq!(conductor.why_dropped(run.uid), None);
     }
 
     #[tokio::test]
