@@ -74,8 +74,8 @@ impl Conductor {
         }
     }
 
-    /// Begins the first waiting run that is due. A run that cannot begin must be started again; an
-    /// event reports it. Returns when to decide again, if none began and some are early.
+    /// Begins the first waiting run that is due. A run that cannot begin must be started again, unless the rig is busy or
+    /// the store fails; an event reports it. Returns when to decide again, if none began and some are early.
     async fn begin_next(&self, now: Timestamp) -> Result<Option<Duration>, ConductorError> {
         let waiting = self.still_waiting().await?;
         let lock = self.inner.store.lock().await?;
