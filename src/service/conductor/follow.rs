@@ -74,8 +74,8 @@ impl Conductor {
         }
     }
 
-    /// Begins the first waiting run that is due. A run that cannot begin must be started again; an
-    /// event reports it. Returns when to decide again, if none began and some are early.
+    /// Begins the first waiting run that is due. A run that cannot begin must be started again, unless the rig is busy or
+    /// the store fails; an event reports it. Returns when to decide again, if none began and some are early.
     async fn begin_next(&self, now: Timestamp) -> Result<Option<Duration>, ConductorError> {
         let waiting = self.still_waiting().await?;
         let lock = self.inner.store.lock().await?;
@@ -88,6 +88,11 @@ impl Conductor {
                 Err(_) if self.inner.campaign.status().run.is_some() => return Ok(None),
                 // The rig is busy, for example with a jog or a homing.
                 Err(ConductorError::Refused(Refusal::Busy(_) | Refusal::Gone)) => {
+                    return Ok(Some(BUSY_AGAIN));
+                }
+                // The store may answer again, and nothing was requested of the rig.
+                Err(ConductorError::Store(error)) if !error.is_refusal() => {
+                    tracing::warn!(error = error_chain(&error), "the next run did not start yet");
                     return Ok(Some(BUSY_AGAIN));
                 }
                 Err(error) => self.drop_waiting(run, &error.to_string()).await?,
@@ -426,6 +431,29 @@ mod tests {
         tokio::time::sleep(Duration::from_millis(20)).await;
         store.set_lock("bob", "hands in the rig").await.unwrap();
         assert!(is_lost(&second).await);
+    }
+
+    #[tokio::test]
+    async fn a_run_does_not_lose_its_turn_because_the_store_fails() {
+        let (conductor, _inbox, _folder) = conductor().await;
+        let run = queued(&conductor, None).await;
+        conductor.inner.store.set_waiting(run.uid).await.unwrap();
+        conductor.let_wait([run.uid]);
+        let one_at_a_time = conductor.inner.beginning.lock().await;
+        let fails = async {
+            tokio::time::sleep(Duration::from_millis(100)).await;
+            conductor.inner.store.close().await;
+            drop(one_at_a_time);
+        };
+        let (begun, ()) = tokio::join!(conductor.begin_next(Timestamp::now()), fails);
+        // On a slow machine it fails before it has read which runs wait.
+        let is_later = match &begun {
+            Ok(pause) => *pause == Some(BUSY_AGAIN),
+            Err(error) => matches!(error, ConductorError::Store(_)),
+        };
+        assert!(is_later, "{begun:?}");
+        assert!(conductor.waiting().contains(&run.uid));
+        assert_eq!(conductor.why_dropped(run.uid), None);
     }
 
     #[tokio::test]

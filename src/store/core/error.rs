@@ -135,7 +135,7 @@ impl StoreError {
     }
 
     /// Whether the record itself is refused, or what it changes is damaged, so that a repetition fails, too.
-    fn is_refusal(&self) -> bool {
+    pub fn is_refusal(&self) -> bool {
         match self {
             Self::Sql { source: sqlx::Error::Database(e), .. } => {
                 !matches!(e.kind(), sqlx::error::ErrorKind::Other)

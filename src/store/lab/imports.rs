@@ -38,7 +38,8 @@ pub const TAG_MAX_CHARS: usize = 100;
 
 const STORING_IMPORT: &str = "storing an import";
 
-/// Number of trials of an incomplete import that one transaction removes: a trial's commit must not wait for all.
+/// Number of trials of incomplete imports that one transaction removes: a trial's commit must not wait for all, and a
+/// start of the service not end because all of them take longer than one write may.
 const REMOVED_AT_ONCE: i64 = 500;
 
 /// A trial measured elsewhere. Unknown values are absent.
@@ -210,18 +211,28 @@ impl Store {
         }
     }
 
-    /// Removes the trials of incomplete imports, and returns their number. Call it at the start.
+    /// Removes the trials of incomplete imports, and returns their number. Call it at the start. However many they are, no
+    /// transaction is late.
     ///
     /// # Errors
-    /// `Sql`, `Late` or `Closed` if the write fails.
+    /// `Sql`, `Late` or `Closed` if a write fails: then the next start removes the rest.
     pub async fn sweep_imports(&self) -> StoreResult<u64> {
-        let query = sqlx::query(
-            "DELETE FROM trials WHERE run IN
-                 (SELECT scan_id FROM runs WHERE kind = ?1 AND state = ?2)",
-        )
-        .bind(RunKind::Imported.as_str())
-        .bind(INCOMPLETE.as_str());
-        self.inner.writer.execute("removing an incomplete import", query).await
+        let mut removed = 0;
+        loop {
+            // The few runs first: not each stored trial.
+            let query = sqlx::query(
+                "DELETE FROM trials WHERE id IN
+                     (SELECT t.id FROM runs r CROSS JOIN trials t ON t.run = r.scan_id
+                      WHERE r.kind = ?1 AND r.state = ?2 LIMIT ?3)",
+            )
+            .bind(RunKind::Imported.as_str())
+            .bind(INCOMPLETE.as_str())
+            .bind(REMOVED_AT_ONCE);
+            match self.inner.writer.execute("removing an incomplete import", query).await? {
+                0 => return Ok(removed),
+                trials => removed += trials,
+            }
+        }
     }
 }
 

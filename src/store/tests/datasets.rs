@@ -121,6 +121,24 @@ async fn half_an_import_is_gone_after_the_next_start() {
 }
 
 #[tokio::test]
+async fn half_a_large_import_is_removed_in_several_transactions() {
+    let (_folder, store) = fresh().await;
+    let run = store.begin_import(imported()).await.unwrap();
+    let trial = |configuration| ImportedTrial { configuration, ..elsewhere(0) };
+    store.import_trials(run.uid, None, (0..501).map(trial).collect()).await.unwrap();
+    // The writer takes its jobs in their order: this one comes after the first transaction.
+    let counted = store.write("counting the trials of a test", async move |c| {
+        let left: i64 =
+            sqlx::query_scalar("SELECT count(*) FROM trials").fetch_one(c).await.unwrap();
+        Ok(left)
+    });
+    let (removed, left) = futures::join!(store.sweep_imports(), counted);
+    assert_eq!((removed.unwrap(), left.unwrap()), (501, 1));
+    assert!(all(&store, run.uid).await.is_empty());
+    store.integrity_check().await.unwrap();
+}
+
+#[tokio::test]
 async fn of_two_equal_imports_at_once_one_is_a_run_and_nothing_of_the_other_stays() {
     let (_folder, store) = fresh().await;
     let begin = async |experiment: &str| {

@@ -167,6 +167,8 @@ impl Control {
     /// `Refusal::State` if another run is active.
     pub fn begin(&mut self, run: RunUid) -> Result<(), Refusal> {
         self.current = Some(run);
+        // That of an earlier run may have come after its end.
+        self.suspended_for = None;
         self.run_event(RunEvent::Start).map(|_| ())
     }
 
@@ -340,7 +342,7 @@ impl Control {
         Ok(())
     }
 
-    /// Called after a commit: leaves the configuration if a pause or a stop was requested.
+    /// Called after a commit, and before the tips go down: leaves the configuration if a pause or a stop was requested.
     ///
     /// # Errors
     /// As `attend`; `Halt::Checkpoint` while pausing or stopping.

@@ -29,11 +29,11 @@ pub enum RunState {
     Idle,
     /// Moving and measuring.
     Running,
-    /// Pauses at the next checkpoint: after the commit of the trial.
+    /// Pauses at the next checkpoint: before a press, or after the commit of its trial.
     Pausing(PausedWhy),
     /// Paused with the tips raised.
     Paused(PausedWhy),
-    /// Ends after the commit of the trial.
+    /// Ends at the next checkpoint.
     Stopping,
     /// Raises the tips now, then ends.
     Aborting,

@@ -76,6 +76,7 @@ impl Pressing<'_> {
         Ok(stored)
     }
 
+    /// Moves over a stand and tares. Halts there if a pause or a stop was requested.
     async fn prepare(
         &self,
         stage: &mut Stage,
@@ -91,7 +92,8 @@ impl Pressing<'_> {
         let at = stage.clock.timestamp();
         let record = TareRecord { configuration, volts, samples, at };
         control.diary.note(Note::Tare(self.run, record));
-        Ok(())
+        // The tips are up: what was requested meanwhile waits for no further press.
+        control.checkpoint()
     }
 
     /// Executes one trial: motion to its depth, settling, frames, commit. Returns the held forces.

@@ -166,13 +166,17 @@ impl Engine {
     }
 
     fn note_suspension(&mut self) {
-        if let Some(why) = self.control.take_suspended_for() {
-            self.control.say("suspended", json!({ "why": why }));
-            self.control.show_run(|run| run.waiting_for = Some(why));
-            if !matches!(self.control.run(), RunState::Suspending(_)) {
-                let _ = self.control.run_event(RunEvent::Suspend(PausedWhy::Suspender));
-            }
+        if self.state_suspension() && !matches!(self.control.run(), RunState::Suspending(_)) {
+            let _ = self.control.run_event(RunEvent::Suspend(PausedWhy::Suspender));
         }
+    }
+
+    /// States why a suspender has requested a halt, once. Returns whether one has.
+    pub(super) fn state_suspension(&mut self) -> bool {
+        let Some(why) = self.control.take_suspended_for() else { return false };
+        self.control.say("suspended", json!({ "why": why }));
+        self.control.show_run(|run| run.waiting_for = Some(why));
+        true
     }
 
     fn suspend_for(&mut self, why: PausedWhy, words: String) {

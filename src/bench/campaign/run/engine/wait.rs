@@ -190,6 +190,9 @@ impl Engine {
             Request::Stop | Request::Abort | Request::AbortMotion | Request::Suspend(_) => {
                 let event = self.control.run_request(&request)?;
                 let mut outcome = self.control.run_event(event);
+                if outcome.is_ok() {
+                    self.state_suspension();
+                }
                 if outcome == Ok(RunAction::Raise)
                     && self.leave_contact(job, None, Height::Clear).await
                 {

@@ -35,6 +35,7 @@ use crate::suspension::Suspensions;
 
 mod motions;
 mod owed;
+mod pausing;
 mod pressing;
 mod sideways;
 

@@ -1,0 +1,91 @@
+//! Where a requested pause takes effect, and what a suspension of a run states.
+
+use std::sync::atomic::Ordering;
+
+use jiff::Timestamp;
+
+use super::super::{Attempts, Next};
+use super::{engine, job, trip, with_handle};
+use crate::campaign::bench::stand_in::StandIns;
+use crate::campaign::run::halt::Halt;
+use crate::campaign::run::run_state::{PausedWhy, RunEvent, RunState};
+use crate::campaign::shown::command::Request;
+use crate::campaign::shown::show;
+use crate::campaign::trial::press::Pressing;
+use crate::record::TouchOffRecord;
+use crate::schedule::plan::Step;
+
+#[tokio::test]
+async fn a_pause_or_a_stop_that_is_requested_before_a_press_waits_for_no_press() {
+    let job = job();
+    for request in [RunEvent::PauseAtCheckpoint, RunEvent::Stop] {
+        let axes = StandIns::default();
+        let mut engine = engine(&axes);
+        engine.control.show(|status| status.run = Some(show::started(&job)));
+        engine.control.begin(job.run).unwrap();
+        engine.control.run_event(request).unwrap();
+        let stage = engine.connection.as_mut().unwrap().stage.as_mut().unwrap();
+        stage.tips = 1;
+        stage.surface = Some(TouchOffRecord {
+            tips: 1,
+            surface_z_mm: 60.0,
+            tip_offset_mm: vec![(1, 0.0)],
+            touches: Vec::new(),
+            at: Timestamp::UNIX_EPOCH,
+        });
+        let pressing = Pressing { run: job.run, plan: &job.plan, attempt: 1 };
+        let mut presses = 0;
+        for step in &job.plan.steps {
+            let halted = match step {
+                Step::Reference(press) => {
+                    pressing.reference(stage, &mut engine.control, press).await
+                }
+                Step::Configuration(c) => {
+                    pressing.configuration(stage, &mut engine.control, c, &[0, 1]).await.map(drop)
+                }
+                Step::TipChange { .. } | Step::TouchOff { .. } | Step::Manual(_) => continue,
+            };
+            assert!(matches!(halted, Err(Halt::Checkpoint)), "{request:?}: {halted:?}");
+            presses += 1;
+        }
+        // The reference, and two configurations: each is over its place, and no tip went down.
+        let starts = [&axes.x, &axes.z].map(|axis| axis.starts.load(Ordering::SeqCst));
+        assert!(presses >= 3 && starts[0] >= presses && starts[1] == 0, "{presses}: {starts:?}");
+    }
+}
+
+/// What a run that waits after a trip shows, and the state that it reaches, once it is suspended for this reason.
+async fn suspended_while_it_waits(why: &str) -> (Option<String>, RunState) {
+    let (axes, job) = (StandIns::default(), job());
+    let (mut engine, handle) = with_handle(&axes);
+    trip(&mut engine, &job);
+    let why = why.to_owned();
+    // Without a handle there is no request to wait for.
+    let suspend = async move { handle.ask(Request::Suspend(why)).await };
+    let mut attempts = Attempts::default();
+    let (suspended, next) = tokio::join!(suspend, engine.wait(&job, &mut attempts, None));
+    assert!(suspended.is_ok() && matches!(next, Next::Leave), "{suspended:?}");
+    let run = engine.control.inbox.status.borrow().run.clone().unwrap();
+    assert_eq!(engine.control.take_suspended_for(), None, "it is stated once");
+    (run.waiting_for, engine.control.run())
+}
+
+#[tokio::test]
+async fn a_suspension_of_a_run_that_waits_states_its_reason() {
+    let why = "the model does not fit the skin";
+    let (waiting_for, state) = suspended_while_it_waits(why).await;
+    assert_eq!(waiting_for.as_deref(), Some(why));
+    assert_eq!(state, RunState::Paused(PausedWhy::Suspender));
+}
+
+#[tokio::test]
+async fn the_reason_of_a_suspension_is_not_that_of_the_next_run() {
+    let (axes, job) = (StandIns::default(), job());
+    let mut engine = engine(&axes);
+    // The twins are behind: the run has ended.
+    let late = Request::Suspend("the model does not fit the skin".into());
+    engine.control.run_request(&late);
+    engine.control.show(|status| status.run = Some(show::started(&job)));
+    engine.control.begin(job.run).unwrap();
+    assert_eq!(engine.control.take_suspended_for(), None);
+}
