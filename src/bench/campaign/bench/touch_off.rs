@@ -43,7 +43,7 @@ const APPROACHES: u32 = 3;
 ///
 /// # Errors
 /// Trips if no surface is found in the window of the rig file, or if an attached arm touched
-/// nowhere.
+/// nowhere; `Halt::Checkpoint` with raised tips if a pause or a stop was requested.
 pub async fn touch_off(
     stage: &mut Stage,
     control: &mut Control,
@@ -58,6 +58,8 @@ pub async fn touch_off(
         stage.go_over(control, place).await?;
         let accept = if i == 0 { Accept::AnyZero } else { Accept::NearLast };
         tare::tare_untouched(stage, control, tare_samples, accept).await?;
+        // The tips are up: what was requested meanwhile waits for no further place.
+        control.checkpoint()?;
         for (arm, z_mm) in touch(stage, control, first_height(&touches)).await? {
             let [x_mm, y_mm] = place.tips_mm[usize::from(arm) - 1];
             touches.push(ArmTouch { x_mm, y_mm, arm, z_mm });

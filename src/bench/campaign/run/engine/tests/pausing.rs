@@ -7,6 +7,7 @@ use jiff::Timestamp;
 use super::super::{Attempts, Next};
 use super::{engine, job, trip, with_handle};
 use crate::campaign::bench::stand_in::StandIns;
+use crate::campaign::bench::touch_off::touch_off;
 use crate::campaign::run::halt::Halt;
 use crate::campaign::run::run_state::{PausedWhy, RunEvent, RunState};
 use crate::campaign::shown::command::Request;
@@ -88,4 +89,23 @@ async fn the_reason_of_a_suspension_is_not_that_of_the_next_run() {
     engine.control.show(|status| status.run = Some(show::started(&job)));
     engine.control.begin(job.run).unwrap();
     assert_eq!(engine.control.take_suspended_for(), None);
+}
+
+#[tokio::test]
+async fn a_pause_that_is_requested_in_a_touch_off_waits_for_no_further_place() {
+    let (axes, job) = (StandIns::default(), job());
+    let mut engine = engine(&axes);
+    engine.control.show(|status| status.run = Some(show::started(&job)));
+    engine.control.begin(job.run).unwrap();
+    engine.control.run_event(RunEvent::PauseAtCheckpoint).unwrap();
+    let stage = engine.connection.as_mut().unwrap().stage.as_mut().unwrap();
+    stage.tips = 1;
+    let places = job.plan.steps.iter().find_map(|step| match step {
+        Step::TouchOff { places, .. } => Some(places),
+        _ => None,
+    });
+    let places = places.expect("a touch-off");
+    let found = touch_off(stage, &mut engine.control, places, 1, Timestamp::UNIX_EPOCH).await;
+    assert!(matches!(found, Err(Halt::Checkpoint)), "{found:?}");
+    assert_eq!(axes.z.present().position, 0.0);
 }
