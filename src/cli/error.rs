@@ -138,6 +138,9 @@ pub enum CliError {
     Program(#[from] ProgramError),
     #[error("the rig is tripped: {detail}; check the rig, then run `palpate rig reset`")]
     Tripped { detail: String },
+    /// What a person named does not exist.
+    #[error("{0}")]
+    NoSuch(String),
     #[error("no run is active")]
     Idle,
     #[error(
