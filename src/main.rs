@@ -82,7 +82,7 @@ struct VirtualRigArgs {
     /// Write the rig file with the addresses that are served.
     #[arg(long, value_name = "FILE")]
     out_rig: Option<PathBuf>,
-    /// Fault script: which faults occur, and when.
+    /// Fault script, or the name of a carried one: which faults occur, and when.
     #[arg(long, value_name = "SCRIPT")]
     fault: Option<PathBuf>,
     /// Address of the control socket.
@@ -173,10 +173,9 @@ impl VirtualRigArgs {
     fn complete(self) -> Result<RigArgs, cli::CliError> {
         let data = cli::data_or_default(self.data);
         let named = [self.rig, self.gap, self.sensor];
-        if let Some(path) = &self.fault {
-            std::fs::read(path).map_err(cli::CliError::input(path))?;
-        }
-        let files = cli::virtual_rig_files(&data.join("virtual-rig"), named)?;
+        let folder = data.join("virtual-rig");
+        let fault = self.fault.map(|named| cli::fault_script(&folder, &named)).transpose()?;
+        let files = cli::virtual_rig_files(&folder, named)?;
         Ok(RigArgs {
             rig: files.rig,
             gap: files.gap,
@@ -186,7 +185,7 @@ impl VirtualRigArgs {
             age_days: self.age_days,
             ephemeral: self.ephemeral,
             out_rig: self.out_rig,
-            fault: self.fault,
+            fault,
             control: self.control,
             cache: Some(self.cache.unwrap_or_else(|| data.join("cache"))),
             ready_file: self.ready_file,

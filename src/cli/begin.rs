@@ -15,7 +15,7 @@ use super::error::{CliError, CliResult};
 use super::find::find_run;
 use super::next::Next;
 use super::output;
-use super::rig::{end_motion, until_rig};
+use super::rig::{end_motion, until_moved, until_rig};
 use super::signals::Signals;
 use super::view::{ArmedView, PreflightView, StatusView, TakenUpView};
 use crate::api::STATUS_AGE_MAX;
@@ -132,8 +132,8 @@ pub async fn bring_up(
     if status.rig.state == RigState::Disarmed {
         *homes = true;
         client.act_on_rig("home", json!({})).await?;
-        status =
-            until_rig(client, "homing", HOMING_WAIT, |s| s.rig.state != RigState::Disarmed).await?;
+        status = until_moved(client, "homing", HOMING_WAIT, |s| s.rig.state != RigState::Disarmed)
+            .await?;
         *homes = false;
     }
     Ok(status)

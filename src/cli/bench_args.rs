@@ -6,9 +6,9 @@ use std::path::{Path, PathBuf};
 
 use clap::Args;
 
-use super::error::{CliError, CliResult, io_words};
+use super::error::{CliError, CliResult};
 use super::files::{DEFAULT_GAP, read_or_carried};
-use crate::carried::GAPS;
+use crate::carried::{FAULTS, GAPS};
 use crate::file_kind::FileKind;
 use crate::problem::Problem;
 
@@ -40,7 +40,7 @@ pub struct BenchArgs {
     /// Virtual rig: days since the readout of its skin was first switched on [default: 0].
     #[arg(long, value_name = "DAYS")]
     pub skin_age_days: Option<f64>,
-    /// Virtual rig: script of faults, with their times.
+    /// Virtual rig: script of faults with their times, a file or each-kind.
     #[arg(long, value_name = "SCRIPT")]
     pub fault: Option<PathBuf>,
 }
@@ -89,9 +89,8 @@ impl BenchArgs {
             return Err(CliError::argument("--skin-age-days", age_days, "must be from 0 to 3650"));
         }
         self.gap_text()?;
-        let Some(path) = &self.fault else { return Ok(()) };
-        let opened = std::fs::File::open(path).map(drop);
-        opened.map_err(|error| CliError::argument("--fault", path.display(), io_words(&error)))
+        let script = self.fault.as_deref();
+        script.map_or(Ok(()), |named| read_or_carried(FileKind::Faults, named, FAULTS).map(drop))
     }
 
     /// Text of the differences of the virtual skin from the model.
@@ -175,5 +174,9 @@ mod tests {
         let unknown = gap("gap-z");
         assert!(unknown.contains("gap-a, gap-b"), "{unknown}");
         assert_eq!(words(named(|args| args.gap = Some("gap-b".into()))), None);
+        let fault = |name: &str| words(named(|args| args.fault = Some(name.into())));
+        assert_eq!(fault("each-kind"), None);
+        let unknown = fault("each-kin").unwrap();
+        assert!(unknown.contains("did you mean `each-kind`?"), "{unknown}");
     }
 }

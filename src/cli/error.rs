@@ -138,6 +138,9 @@ pub enum CliError {
     Program(#[from] ProgramError),
     #[error("the rig is tripped: {detail}; check the rig, then run `palpate rig reset`")]
     Tripped { detail: String },
+    /// What a person named does not exist.
+    #[error("{0}")]
+    NoSuch(String),
     #[error("no run is active")]
     Idle,
     #[error(
@@ -145,6 +148,8 @@ pub enum CliError {
          number: palpate resume RUN"
     )]
     NothingToResume,
+    #[error("{what}: the motion was ended early: {by}; palpate status shows the rig")]
+    MotionEnded { what: String, by: String },
     #[error("{what} did not happen within {after_s} s")]
     Late { what: String, after_s: u64 },
     #[error("rig {rig} is real: confirm its motion at the terminal or with --yes")]

@@ -8,10 +8,11 @@ use sim_core::calibration::{Calibration, CalibrationError};
 use sim_core::sensor::{Sensor, SensorError, SensorFile};
 
 use super::error::{CliError, CliResult, io_words};
-use crate::carried::{self, EXPERIMENTS, RECIPES, RIGS, SENSORS};
+use crate::carried::{self, EXPERIMENTS, FAULTS, RECIPES, RIGS, SENSORS};
 use crate::digest::sha256_hex;
 use crate::file_kind::FileKind;
 use crate::near::did_you_mean;
+use crate::new_file;
 use crate::problem::Problem;
 use crate::rig::reach::{bench, reach};
 use crate::rig::setup::RigSetup;
@@ -200,6 +201,40 @@ pub fn read_or_carried(
             Err(CliError::in_file(path, words))
         }
     }
+}
+
+/// Returns the path of a file of this kind that is named on the command line. A name without a file is that of a carried
+/// one, which is written to a folder as `name`.
+///
+/// # Errors
+/// As [`read_or_carried`]; `CliError::File` if the carried file cannot be written.
+pub fn on_disk(
+    kind: FileKind,
+    named: &Path,
+    files: &'static [(&'static str, &'static str)],
+    folder: &Path,
+    name: &str,
+) -> CliResult<PathBuf> {
+    let text = read_or_carried(kind, named, files)?;
+    if named.exists() { Ok(named.into()) } else { write_in(folder, name, &text) }
+}
+
+/// Writes a file into a folder, which only this user can open if it is new. Returns its path.
+///
+/// # Errors
+/// `CliError::File` if it cannot be written.
+pub fn write_in(folder: &Path, name: &str, text: &str) -> CliResult<PathBuf> {
+    new_file::make_folder(folder).map_err(CliError::file(folder))?;
+    let path = folder.join(name);
+    write(&path, text).map(|()| path)
+}
+
+/// Returns the path of a script of faults; a carried one is written to a folder.
+///
+/// # Errors
+/// As [`on_disk`].
+pub fn fault_script(folder: &Path, named: &Path) -> CliResult<PathBuf> {
+    on_disk(FileKind::Faults, named, FAULTS, folder, "faults.toml")
 }
 
 /// As [`read_input`], for a file of this kind.

@@ -41,7 +41,8 @@ fn named(text: &str) -> Option<Named<'_>> {
 /// Returns the run that a person named.
 ///
 /// # Errors
-/// `CliError::Problems` if the text names no run or several; others as [`Client::send`].
+/// `CliError::Problems` if the text is not the name of a run, or is that of several; `NoSuch` or `Refused` if there is no
+/// such run; others as [`Client::send`].
 pub async fn find_run(client: &Client, text: &str) -> CliResult<RunRow> {
     let wrong = |limit: String| CliError::argument("RUN", text, limit);
     match named(text) {
@@ -54,7 +55,8 @@ pub async fn find_run(client: &Client, text: &str) -> CliResult<RunRow> {
         }),
         Some(Named::Last) => {
             let newest = client.find_run(|_| true).await?;
-            newest.ok_or_else(|| wrong("there are no runs yet: palpate run quickstart".into()))
+            let none = "there are no runs yet: palpate run quickstart";
+            newest.ok_or_else(|| CliError::NoSuch(none.into()))
         }
         Some(Named::Start(start)) => {
             let runs: Vec<RunRow> = client.all("/api/v1/runs?limit=1000").await?;
@@ -62,7 +64,7 @@ pub async fn find_run(client: &Client, text: &str) -> CliResult<RunRow> {
                 runs.into_iter().filter(|run| run.uid.to_string().starts_with(&start)).collect();
             match (found.len(), found.pop()) {
                 (1, Some(run)) => Ok(run),
-                (0, _) => Err(wrong("no run has this id: palpate runs lists them".into())),
+                (0, _) => Err(CliError::NoSuch(format!("no run {text}: palpate runs lists all"))),
                 (count, last) => {
                     let runs = found.iter().chain(&last);
                     let numbers: Vec<String> = runs.map(|run| run.scan_id.to_string()).collect();

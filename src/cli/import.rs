@@ -3,10 +3,7 @@
 
 use std::collections::BTreeMap;
 use std::fmt::Display;
-use std::future::ready;
 use std::path::PathBuf;
-use std::sync::Arc;
-use std::sync::atomic::Ordering::Relaxed;
 use std::time::Duration;
 
 use clap::Args;
@@ -18,11 +15,9 @@ use super::files::{read_input, read_or_carried};
 use super::making;
 use super::next::Next;
 use super::output::{counted, say};
-use super::progress::counted_wait;
 use super::{At, embed};
 use crate::carried::SENSORS;
 use crate::dataset::build::Progress;
-use crate::dataset::error::DatasetError;
 use crate::dataset::import::coordinates::Coordinates;
 use crate::dataset::import::preview;
 use crate::dataset::import::summary::Summary;
@@ -86,18 +81,9 @@ async fn understood(args: &ImportArgs, sensor: String, map: Option<&str>) -> Cli
     let map = Coordinates::from_toml(&map_file.unwrap_or_default(), map.unwrap_or_default())?;
     let (path, sensor_file) = (args.file.clone(), args.sensor.display().to_string());
     let file = path.display().to_string();
-    let progress = Arc::<Progress>::default();
-    let own = progress.clone();
-    let reading = tokio::task::spawn_blocking(move || {
-        preview(&path, &file, &sensor_file, &sensor, map, &own)
-    });
-    let count = || {
-        let total = progress.total.load(Relaxed);
-        ready((total > 0).then(|| (progress.done.load(Relaxed), total)))
-    };
-    let read = counted_wait("reading the file", "trials read", count, reading).await;
-    read.unwrap_or(Err(DatasetError::Worker))
-        .map_err(|error| CliError::of_dataset(format!("reading {}", args.file.display()), error))
+    let reading = move |rows: &Progress| preview(&path, &file, &sensor_file, &sensor, map, rows);
+    let read = making::here("reading the file", "trials read", reading).await;
+    read.map_err(|error| CliError::of_dataset(format!("reading {}", args.file.display()), error))
 }
 
 async fn store(

@@ -6,14 +6,16 @@ use std::time::Duration;
 
 use clap::Args;
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
-use serde::Deserialize;
+use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 use super::client::Client;
 use super::error::{CliError, CliResult};
 use super::files::read_input;
 use super::next::Next;
-use super::output::{note, say};
+use super::output::{Output, note, say};
+use super::progress::Counted;
 use super::{At, embed, recording};
 use crate::api::{
     FrameAnswer, InferOptions, InferRequest, LiveAnswer, LiveQuantities, ModelOut, QuantityRequest,
@@ -111,21 +113,19 @@ pub async fn infer(args: InferArgs) -> CliResult<()> {
             // clap requires one of them.
             (None, None) => return Ok(()),
         };
-        for frames in frames.chunks(FRAMES_PER_REQUEST) {
-            let options = InferOptions {
+        let request = |frames| InferRequest {
+            options: InferOptions {
                 method,
                 model: args.model.clone(),
                 transfer: args.transfer.clone(),
                 map: args.map,
                 averaged: args.averaged,
-            };
-            let request = InferRequest { options, frames: frames.to_vec() };
-            let client = client.showing("estimating contacts");
-            let answers: Vec<FrameAnswer> = client.post("/api/v1/infer", &request).await?;
-            for answer in answers {
-                args.at.output().say(&answer, words(&answer));
-            }
-        }
+            },
+            frames,
+        };
+        let output = args.at.output();
+        answered::<_, FrameAnswer>(&client, "/api/v1/infer", &frames, request, output, words)
+            .await?;
         let (next, method) = (Next::of(&args.at), method.name());
         let next = match &args.model {
             None => {
@@ -157,17 +157,35 @@ async fn method_of(client: &Client, model: &str) -> CliResult<Option<Method>> {
     Ok(task.and_then(|task| Method::of(Slot::of(task))))
 }
 
+/// Requests the answers to frames, to some of them at a time, and prints each; shows how many are answered.
+async fn answered<Request: Serialize, Answer: Serialize + DeserializeOwned>(
+    client: &Client,
+    path: &str,
+    frames: &[Vec<f32>],
+    request: impl Fn(Vec<Vec<f32>>) -> Request,
+    output: Output,
+    words: impl Fn(&Answer) -> String,
+) -> CliResult<()> {
+    let mut shown = Counted::of("frames answered", frames.len() as u64);
+    for some in frames.chunks(FRAMES_PER_REQUEST) {
+        let request = request(some.to_vec());
+        let answers: Vec<Answer> = shown.during(client.post(path, &request)).await?;
+        shown.bar.suspend(|| {
+            for answer in &answers {
+                output.say(answer, words(answer));
+            }
+        });
+        shown.add(answers.len() as u64);
+    }
+    Ok(())
+}
+
 /// Shows the answers of a net that estimates a quantity of a whole frame.
 async fn quantities(client: &Client, model: &str, frames: &[Vec<f32>], at: &At) -> CliResult<()> {
-    for frames in frames.chunks(FRAMES_PER_REQUEST) {
-        let request = QuantityRequest { frames: frames.to_vec() };
-        let path = format!("/api/v1/models/{model}/quantities");
-        let client = client.showing("estimating");
-        let answers: Vec<QuantityAnswer> = client.post(&path, &request).await?;
-        for answer in answers {
-            at.output().say(&answer, quantity_words(&answer));
-        }
-    }
+    let path = format!("/api/v1/models/{model}/quantities");
+    let request = |frames| QuantityRequest { frames };
+    answered::<_, QuantityAnswer>(client, &path, frames, request, at.output(), quantity_words)
+        .await?;
     Next::of(at).suggest(format_args!("palpate model show {model}"), "its facts and recipe").say();
     Ok(())
 }

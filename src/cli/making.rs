@@ -1,11 +1,18 @@
-//! The wait for a dataset that the service makes, or for an import that it stores, with the rows that are done.
+//! The wait for rows: of a dataset that the service makes, of an import that it stores, or of blocking work in this
+//! process, with those that are done.
 //! Uses: `client`, `progress`. Never: the work itself.
+
+use std::future::ready;
+use std::sync::Arc;
+use std::sync::atomic::Ordering::Relaxed;
 
 use serde::Deserialize;
 
 use super::client::Client;
 use super::error::CliResult;
 use super::progress::counted_wait;
+use crate::dataset::build::Progress;
+use crate::dataset::error::DatasetError;
 use crate::dataset::making::{Making, MakingKind};
 
 /// What a service makes.
@@ -41,6 +48,25 @@ pub async fn import<T>(
     let is_this = |one: &Making| one.kind == MakingKind::Import && one.name == name.trim();
     let stored = || rows(client, is_this);
     counted_wait("storing the trials", "trials stored", stored, answer).await
+}
+
+/// Carries out blocking work that counts its rows, and shows those that are done.
+///
+/// # Errors
+/// Those of the work; `Worker` if it panics.
+pub async fn here<T: Send + 'static>(
+    words: &str,
+    unit: &'static str,
+    work: impl FnOnce(&Progress) -> Result<T, DatasetError> + Send + 'static,
+) -> Result<T, DatasetError> {
+    let progress = Arc::<Progress>::default();
+    let own = progress.clone();
+    let working = tokio::task::spawn_blocking(move || work(&own));
+    let count = || {
+        let total = progress.total.load(Relaxed);
+        ready((total > 0).then(|| (progress.done.load(Relaxed), total)))
+    };
+    counted_wait(words, unit, count, working).await.unwrap_or(Err(DatasetError::Worker))
 }
 
 /// Number of rows that are done, and of all, of work that has counted them.

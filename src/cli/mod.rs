@@ -12,7 +12,6 @@ use clap::{Args, Subcommand};
 use crate::campaign::STOPS;
 use crate::carried::{self, GAPS, RIGS, SENSORS};
 use crate::file_kind::FileKind;
-use crate::new_file;
 use serde_json::json;
 
 mod access;
@@ -88,8 +87,8 @@ pub use drawn::{report, report_usage};
 use embed::Purpose::Reads;
 pub use error::CliError;
 use error::CliResult;
-pub use files::DEFAULT_SKIN_SEED;
-use files::{DEFAULT_GAP, DEFAULT_RIG, DEFAULT_SENSOR, read_or_carried};
+use files::{DEFAULT_GAP, DEFAULT_RIG, DEFAULT_SENSOR};
+pub use files::{DEFAULT_SKIN_SEED, fault_script};
 pub use output::Output;
 
 pub use crate::plain::in_plain_words;
@@ -393,18 +392,9 @@ pub fn virtual_rig_files(folder: &Path, named: [Option<PathBuf>; 3]) -> CliResul
     let file = |kind: FileKind,
                 carried: CarriedFiles,
                 named: Option<PathBuf>,
-                [name, default]: [&str; 2]|
-     -> CliResult<PathBuf> {
-        let text = match &named {
-            Some(path) => read_or_carried(kind, path, carried)?,
-            None => default.to_owned(),
-        };
-        if let Some(path) = named.filter(|path| path.exists()) {
-            return Ok(path);
-        }
-        let path = folder.join(name);
-        new_file::make_folder(folder).map_err(CliError::file(folder))?;
-        files::write(&path, &text).map(|()| path)
+                [name, default]: [&str; 2]| match named {
+        Some(path) => files::on_disk(kind, &path, carried, folder, name),
+        None => files::write_in(folder, name, default),
     };
     let gap_text = carried::text(GAPS, DEFAULT_GAP).unwrap_or_default();
     Ok(VirtualRigFiles {
@@ -432,5 +422,12 @@ mod tests {
         assert_eq!(files.sensor, own);
         let unknown = virtual_rig_files(&folder, [None, Some("gap-z".into()), None]);
         assert!(unknown.unwrap_err().to_string().contains("gap-a, gap-b"));
+        let script = |name: &str| fault_script(&folder, Path::new(name));
+        let carried = carried::text(carried::FAULTS, "each-kind");
+        assert_eq!(Some(&*text(&script("each-kind").unwrap())), carried);
+        let kept = script("each-kind").unwrap().display().to_string();
+        assert_eq!(script(&kept).unwrap().display().to_string(), kept);
+        let of_sensor = script(&own.display().to_string()).unwrap_err().to_string();
+        assert!(of_sensor.contains("a sensor file, not a script of faults"), "{of_sensor}");
     }
 }

@@ -2,10 +2,12 @@
 //! Uses: indicatif. Never: standard output.
 
 use std::io::IsTerminal;
+use std::sync::Arc;
 use std::sync::mpsc::{self, RecvTimeoutError, Sender};
 use std::time::{Duration, Instant};
 
 use indicatif::{ProgressBar, ProgressStyle};
+use parking_lot::Mutex;
 
 use super::output::note;
 
@@ -46,6 +48,17 @@ impl Counted {
     /// Shows that further units are done.
     pub fn add(&mut self, units: u64) {
         self.show(self.bar.position() + units, self.bar.length().unwrap_or_default());
+    }
+
+    /// Waits for `work` on the next units, and shows meanwhile how many are done.
+    pub async fn during<T>(&mut self, work: impl Future<Output = T>) -> T {
+        let mut work = std::pin::pin!(work);
+        loop {
+            tokio::select! {
+                done = &mut work => return done,
+                () = tokio::time::sleep(COUNT_POLL) => self.add(0),
+            }
+        }
     }
 }
 
@@ -126,6 +139,8 @@ pub async fn counted_wait<T, Count: Future<Output = Option<(u64, u64)>>>(
 pub struct Working {
     /// Hidden without a terminal.
     bar: ProgressBar,
+    /// What is done now, for the lines.
+    words: Arc<Mutex<String>>,
     /// Ends the thread that prints lines; absent on a terminal.
     _lines: Option<Sender<()>>,
 }
@@ -146,27 +161,30 @@ impl Working {
         let style = style.unwrap_or_else(|_| ProgressStyle::default_spinner());
         let bar = ProgressBar::new_spinner().with_style(style).with_message(words.to_owned());
         bar.enable_steady_tick(Duration::from_millis(100));
-        Self { bar, _lines: None }
+        Self { bar, words: Arc::default(), _lines: None }
     }
 
     /// Prints a line with the time since `begin` after `wait`, and then at intervals.
     fn in_lines(words: &str, begin: Instant, mut wait: Duration) -> Self {
         let (lines, ended) = mpsc::channel::<()>();
-        let words = words.to_owned();
+        let words = Arc::new(Mutex::new(words.to_owned()));
+        let shown = words.clone();
         let print = move || {
             while ended.recv_timeout(wait) == Err(RecvTimeoutError::Timeout) {
+                let words = shown.lock().clone();
                 note(format_args!("{words} .. {} s", begin.elapsed().as_secs()));
                 wait = PROGRESS_LINES;
             }
         };
         // Without a thread the work is done all the same.
         drop(std::thread::Builder::new().name("progress".into()).spawn(print));
-        Self { bar: ProgressBar::hidden(), _lines: Some(lines) }
+        Self { bar: ProgressBar::hidden(), words, _lines: Some(lines) }
     }
 
-    /// Names what is done now, on a terminal.
+    /// Names what is done now: on a terminal at once, elsewhere in the next line.
     pub fn step(&self, words: &str) {
         self.bar.set_message(words.to_owned());
+        *self.words.lock() = words.to_owned();
     }
 }
 
@@ -227,6 +245,14 @@ mod tests {
         };
         assert_eq!(counted_wait("making", "rows", count, work).await, "made");
         assert_eq!(asked.get(), 4);
+        let mut shown = Counted::of("frames", 9);
+        shown.add(4);
+        let part = async {
+            tokio::time::sleep(2 * COUNT_POLL).await;
+            "answered"
+        };
+        assert_eq!(shown.during(part).await, "answered");
+        assert_eq!((shown.bar.position(), shown.bar.length()), (4, Some(9)));
         let at_once = async { "there" };
         assert_eq!(counted_wait("making", "rows", || ready(None), at_once).await, "there");
     }

@@ -26,6 +26,7 @@ use crate::campaign::bench::rig_state::RigState;
 use crate::campaign::bench::travel::HOMING_WAIT;
 use crate::campaign::check::{self, Scope};
 use crate::record::{ARMS, Pose};
+use crate::store::ActionRow;
 
 /// Longest wait for the wires, for a tare, and for actions without motion.
 const SOON: Duration = Duration::from_secs(60);
@@ -37,6 +38,12 @@ const CHECKING: &str = "checking every device";
 const RIG_POLL: Duration = Duration::from_millis(100);
 /// A jog has arrived when the axis is this close, mm.
 const ARRIVED_MM: f64 = 0.2;
+/// Time without the motion after which it counts as over: the rig shows its result a moment after its end.
+const MOTION_OVER: Duration = Duration::from_secs(2);
+/// Name of an abort of a motion in the log of actions.
+const ABORT_ACTION: &str = "rig_abort";
+/// Number of logged actions among which the last motion is searched.
+const NEWEST_ACTIONS: usize = 50;
 /// Attempts to abort a motion that is left, and the pause between them: its request may arrive after the first one.
 const ABORT_TRIES: u32 = 5;
 const ABORT_POLL: Duration = Duration::from_millis(200);
@@ -177,7 +184,7 @@ async fn operate(client: &Client, command: RigCommand, output: Output) -> CliRes
         RigCommand::Home => {
             let homes = async {
                 client.act_on_rig("home", json!({})).await?;
-                until_rig(client, "homing", HOMING_WAIT, |s| s.rig.state == RigState::Homed).await
+                until_moved(client, "homing", HOMING_WAIT, |s| s.rig.state == RigState::Homed).await
             };
             moved(client, homes).await?
         }
@@ -188,7 +195,7 @@ async fn operate(client: &Client, command: RigCommand, output: Output) -> CliRes
             };
             let jogs = async {
                 client.act_on_rig("jog", more).await?;
-                until_rig(client, "the jog's arrival", JOGGING, there).await
+                until_moved(client, "the jog's arrival", JOGGING, there).await
             };
             moved(client, jogs).await?
         }
@@ -251,6 +258,65 @@ pub async fn until_rig(
     deadline: Duration,
     wanted: impl Fn(&StatusView) -> bool,
 ) -> CliResult<StatusView> {
+    poll(client, what, deadline, None, wanted).await
+}
+
+/// As [`until_rig`], for a homing or a jog that was requested just before.
+///
+/// # Errors
+/// `CliError::MotionEnded` if it ended otherwise, such as by an abort of another person; else as [`until_rig`].
+pub async fn until_moved(
+    client: &Client,
+    what: &str,
+    deadline: Duration,
+    wanted: impl Fn(&StatusView) -> bool,
+) -> CliResult<StatusView> {
+    poll(client, what, deadline, Some(MotionSeen::default()), wanted).await
+}
+
+/// What polls have seen of a motion.
+#[derive(Debug, Default)]
+struct MotionSeen {
+    moved: bool,
+    /// First poll without it since.
+    over_since: Option<Instant>,
+}
+
+impl MotionSeen {
+    /// Returns who ended the motion, once it has been over for a while.
+    async fn ended_by(&mut self, client: &Client, status: &StatusView) -> Option<String> {
+        if status.rig.motion.is_some() {
+            *self = Self { moved: true, over_since: None };
+            return None;
+        }
+        if self.over_since.get_or_insert_with(Instant::now).elapsed() < MOTION_OVER {
+            return None;
+        }
+        // Also a motion that ended before the first poll; an older service shows none.
+        self.over_since = None;
+        let by = aborted_by(client).await;
+        by.or_else(|| self.moved.then(|| "no abort of it is logged".into()))
+    }
+}
+
+/// Who aborted the last homing or jog, and why; none if it was not aborted.
+async fn aborted_by(client: &Client) -> Option<String> {
+    let (newest, _) = client.first::<ActionRow>("/api/v1/actions?", NEWEST_ACTIONS).await.ok()?;
+    let is_of_motion = |act: &ActionRow| {
+        act.accepted && ["home", "jog", ABORT_ACTION].contains(&act.action.as_str())
+    };
+    let last = newest.into_iter().find(is_of_motion).filter(|act| act.action == ABORT_ACTION)?;
+    let why = last.why.map_or_else(String::new, |why| format!(" ({why})"));
+    Some(format!("{} aborted it{why}", last.who))
+}
+
+async fn poll(
+    client: &Client,
+    what: &str,
+    deadline: Duration,
+    mut motion: Option<MotionSeen>,
+    wanted: impl Fn(&StatusView) -> bool,
+) -> CliResult<StatusView> {
     let asked = Instant::now();
     let _shown = Working::on(&format!("rig: {what}"));
     loop {
@@ -260,6 +326,11 @@ pub async fn until_rig(
         }
         if wanted(&status) {
             return Ok(status);
+        }
+        if let Some(motion) = &mut motion
+            && let Some(by) = motion.ended_by(client, &status).await
+        {
+            return Err(CliError::MotionEnded { what: what.into(), by });
         }
         if asked.elapsed() > deadline {
             return Err(CliError::Late { what: what.into(), after_s: deadline.as_secs() });

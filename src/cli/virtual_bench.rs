@@ -132,7 +132,7 @@ fn rig_command(args: &BenchArgs, folder: &Path, served: &Path, cache: &Path) -> 
     command.arg("--ephemeral").arg("--out-rig").arg(served);
     command.arg("--cache").arg(cache).arg("--with-parent");
     if let Some(fault) = &args.fault {
-        command.arg("--fault").arg(fault);
+        command.arg("--fault").arg(files::fault_script(folder, fault)?);
     }
     Ok(command)
 }

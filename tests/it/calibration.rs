@@ -181,7 +181,10 @@ fn the_compression_test_gives_back_the_papers_numbers() {
 #[test]
 fn gauges_beside_the_tip_give_the_fabrics_too() {
     let text = example("indentation-with-gauges.csv", &indentation_with_gauges());
-    let fit = foam::calibrate("indentation-with-gauges.csv", &text, &sensor()).unwrap();
+    let mut solutions = Vec::new();
+    let mut tell = |n: usize| solutions.push(n);
+    let fit = foam::calibrate("indentation-with-gauges.csv", &text, &sensor(), &mut tell).unwrap();
+    assert!(solutions.len() > 2 && solutions.iter().copied().eq(1..=solutions.len()));
     let found = &fit.calibration;
     assert!(holds(&found.foam_mpa, GAUGES_FOAM_MPA), "{found:?}");
     let factor = found.fabric_factor.expect("gauges identify the fabrics");
@@ -218,7 +221,9 @@ fn the_voltages_of_single_contacts_are_judged_and_a_calibration_carries_it() {
 
 #[test]
 fn wrong_indentations_are_named_with_line_field_and_limit() {
-    let error = |text: &str| foam::calibrate("t.csv", text, &sensor()).unwrap_err().to_string();
+    let error = |text: &str| {
+        foam::calibrate("t.csv", text, &sensor(), &mut |_| {}).unwrap_err().to_string()
+    };
     assert_eq!(
         error("point,force_n,displacement_mm\n804,5,1\n1.5,5,1\n3,-5,1\n"),
         "t.csv: line 4, force_n = -5: must be a number above 0, at most 1000"

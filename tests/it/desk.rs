@@ -206,7 +206,7 @@ async fn an_edited_run_has_a_new_plan_and_keeps_its_place() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_run_that_has_begun_is_not_edited() {
+async fn a_run_that_has_begun_is_neither_edited_nor_moved() {
     let data = folder("desk-begun");
     let lab = Filled::serve(data).await;
     let run = lab.queue(submission(2)).await;
@@ -220,6 +220,11 @@ async fn a_run_that_has_begun_is_not_edited() {
     assert_eq!(status, 409, "{refused}");
     let words = refused["detail"].as_str().unwrap();
     assert!(words.contains("only a queued run can be edited"), "{words}");
+    let path = format!("{QUEUE}/{}/move", run["uid"].as_str().unwrap());
+    let refused = lab.posted(&path, json!({ "position": 1 }), 409).await;
+    let words = refused["detail"].as_str().unwrap();
+    assert!(words.starts_with(&format!("run {} is ", run["scan_id"])), "{words}");
+    assert!(words.ends_with("only a queued run can be moved"), "{words}");
     lab.close().await;
 }
 

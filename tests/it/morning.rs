@@ -84,6 +84,8 @@ async fn runs_are_listed_newest_first_and_found_by_number_start_of_the_id_and_la
     assert!(why.contains("their numbers: 3, 2, 1"), "{why}");
     let (code, why) = refused(&url, &["show", "99"]);
     assert!(code == 1 && why.contains("no run 99: palpate runs lists all"), "{code}: {why}");
+    let (code, why) = refused(&url, &["show", "ffff"]);
+    assert!(code == 1 && why.contains("no run ffff: palpate runs lists all"), "{code}: {why}");
     let (code, why) = refused(&url, &["show", "the last"]);
     assert!(code == 2 && why.contains("number, start of the id"), "{code}: {why}");
 }
@@ -129,7 +131,10 @@ async fn a_run_and_a_trial_are_drawn_as_plain_text_without_a_terminal(lab: &Fill
     assert_eq!(frame, 1 + 28 + 1, "a title, 28 rows and the scale: {drawn}");
     assert_eq!(told(&url, &["show", &id])["voltages_v"].as_array().unwrap().len(), 784);
     let (code, why) = refused(&url, &["show", "t99999"]);
-    assert!(code == 2 && why.contains("no trial has this name"), "{code}: {why}");
+    assert!(
+        code == 1 && why.contains("no trial t99999: palpate trials lists all"),
+        "{code}: {why}"
+    );
 
     let lines = |what: &str, part: &str| -> Vec<Value> {
         let text = said(&url, &["show", what, "--raw", part]);

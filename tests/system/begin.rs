@@ -1,7 +1,9 @@
 //! `palpate run` that is left as it begins: what it has requested to start is taken back, and its homing ends, as that
 //! of `palpate rig home` does. It states the status that it has read (`Status-At`) with a start, and none with a stop.
+//! A homing that another person aborts ends the command.
 //! Uses: the program, at a wire that can keep the answer to a start. Never: a mock of the service.
 
+use std::io::Read;
 use std::process::{Command, Stdio};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -118,23 +120,25 @@ async fn ctrl_c_at_a_manual_homing_ends_it() {
     lab.close().await;
 }
 
+#[tokio::test(flavor = "multi_thread")]
+async fn a_homing_that_another_person_aborts_is_over_for_its_command_which_names_them() {
+    let lab = Lab::open("aborted-homing", rig_args("virtual", SPEED), WAITS).await;
+    lab.operate(json!({ "action": "connect", "who": "test" })).await;
+    let mut homes = homes(&lab, &["rig", "home"]).await;
+    let abort = json!({ "who": "Ada", "why": "a cable is caught" });
+    lab.posted("/api/v1/rig/abort", abort).await;
+    let (mut stderr, mut words) = (homes.0.stderr.take().unwrap(), String::new());
+    tokio::task::block_in_place(|| stderr.read_to_string(&mut words)).unwrap();
+    assert_eq!(homes.0.wait().unwrap().code(), Some(1), "{words}");
+    for part in ["homing: the motion was ended early", "Ada", "aborted it (a cable is caught)"] {
+        assert!(words.contains(part), "{part}: {words}");
+    }
+    lab.close().await;
+}
+
 /// A command for which the rig homes is left meanwhile: the homing ends.
 async fn left_as_it_homes(lab: &Lab, command_args: &[&str]) {
-    // Its homing lasts until the limit of twelve seconds, and trips then.
-    lab.tell_rig(json!({ "cmd": "fault", "kind": "stuck_axis", "device": "x", "for_s": 6000.0 }))
-        .await;
-    std::fs::write(lab.data.join("e.toml"), EXPERIMENT).unwrap();
-    let mut command = Command::new(env!("CARGO_BIN_EXE_palpate"));
-    command.args(command_args).args(["--json", "--url", &lab.service.url()]);
-    command.current_dir(&lab.data);
-    command.env("PALPATE_LOG", "warn").stdin(Stdio::null()).stdout(Stdio::null());
-    let mut homes = Process(command.spawn().unwrap());
-    // The request to home is logged once it is accepted.
-    let is_accepted = |page: &Value| {
-        let actions = page["items"].as_array().unwrap();
-        actions.iter().any(|act| act["action"] == "home" && act["accepted"] == true)
-    };
-    lab.eventually("a homing", "/api/v1/actions", is_accepted).await;
+    let mut homes = homes(lab, command_args).await;
     kill_process(Pid::from_raw(homes.0.id().cast_signed()).unwrap(), Signal::INT).unwrap();
     let ended = tokio::task::block_in_place(|| homes.0.wait()).unwrap();
     assert_eq!(ended.code(), Some(1));
@@ -143,4 +147,24 @@ async fn left_as_it_homes(lab: &Lab, command_args: &[&str]) {
         (&status["rig"]["state"], &status["rig"]["trip"]),
         (&json!("disarmed"), &Value::Null)
     );
+}
+
+/// Starts a command for which the rig homes, until its request is accepted.
+async fn homes(lab: &Lab, command_args: &[&str]) -> Process {
+    // Its homing lasts until the limit of twelve seconds, and trips then.
+    lab.tell_rig(json!({ "cmd": "fault", "kind": "stuck_axis", "device": "x", "for_s": 6000.0 }))
+        .await;
+    std::fs::write(lab.data.join("e.toml"), EXPERIMENT).unwrap();
+    let mut command = Command::new(env!("CARGO_BIN_EXE_palpate"));
+    command.args(command_args).args(["--json", "--url", &lab.service.url()]);
+    command.current_dir(&lab.data);
+    command.env("PALPATE_LOG", "warn").stdin(Stdio::null()).stdout(Stdio::null());
+    let homes = Process(command.stderr(Stdio::piped()).spawn().unwrap());
+    // The request to home is logged once it is accepted.
+    let is_accepted = |page: &Value| {
+        let actions = page["items"].as_array().unwrap();
+        actions.iter().any(|act| act["action"] == "home" && act["accepted"] == true)
+    };
+    lab.eventually("a homing", "/api/v1/actions", is_accepted).await;
+    homes
 }

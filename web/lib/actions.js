@@ -128,9 +128,16 @@ export const refusal = ({ rig_actions }, action) => {
 /** The same for an action on the active run; `start` is of a run that waits. */
 export const runRefusal = ({ run_actions }, action) => run_actions.find(one => one.action === action)?.refused ?? ''
 
-/** Asks before the axes of a real rig are homed; closes if they may no longer be, or if the connection is lost. */
-export const sureHome = () => live.status?.rig.label === 'virtual' || confirm('Home the axes?', 'They move. Keep hands and tools away from the rig.', 'Home',
-  status => live.fresh && !refusal(status, 'home'))
+/** Asks before a real rig moves; closes if the service would now refuse it (`refused`), or if the connection is lost. */
+const sureMotion = (title, words, verb, refused) => live.status?.rig.label === 'virtual' ||
+  confirm(title, `${words} Keep hands and tools away from the rig.`, verb, status => live.fresh && !refused(status))
+
+/** Asks before the axes of a real rig are homed. */
+export const sureHome = () => sureMotion('Home the axes?', 'They move.', 'Home', status => refusal(status, 'home'))
+
+/** Asks before a paused run moves a real rig: a person may have come to it since. A skin alone does not move. */
+const sureResume = () => live.status?.rig.has_stage === false ||
+  sureMotion('Resume the run?', 'The axes move.', 'Resume', status => runRefusal(status, 'resume'))
 
 /**
  * The buttons of the active run: what the service would not refuse now, except for those of `without`. A repetition is
@@ -142,7 +149,7 @@ export function runButtons(said, { without = [] } = {}) {
   const act = (words, action, more, props) => actor(words, said, run => actOnRun(run.uid, action, more?.(run)), { seen: () => live.status.run, ...props })
   const SETS = {
     pause: () => act('Pause', 'pause', () => ({ when: 'checkpoint' }), { role: 'viewer', title: 'Finish the trial, raise the tips, wait; after a trip: do not resume automatically' }),
-    resume: () => act('Resume', 'resume', null, { className: 'main' }),
+    resume: () => act('Resume', 'resume', null, { className: 'main', sure: sureResume }),
     confirm: () => act('Done, continue', 'confirm', ({ wanted }) => ({ trial: wanted?.trial, tips: wanted?.tips }), { className: 'main' }),
     stop: () => act('End run', 'stop', null, { role: 'viewer', title: 'Finish the trial, raise the tips, end the run' }),
     abort: () => button('Abort', async () => {

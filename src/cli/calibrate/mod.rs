@@ -110,8 +110,12 @@ async fn of_table(law: Law, common: &Common) -> CliResult<()> {
             (Calibration { piezo: Some(fit.calibration), ..alone }, drawn)
         }
         Law::Foam => {
-            let shown = Working::on("fitting the moduli (each trial solution takes seconds)");
-            let fit = foam::calibrate(&file, &text, &sensor)?;
+            let shown = Working::on("fitting the moduli");
+            // How many there will be is not known before they converge.
+            let mut tell = |n: usize| {
+                shown.step(&format!("fitting the moduli: trial solution {n} (each takes seconds)"));
+            };
+            let fit = foam::calibrate(&file, &text, &sensor, &mut tell)?;
             drop(shown);
             let drawn = common.plot.as_ref().map(|_| plot::foam(&fit)).transpose()?;
             (Calibration { foam: Some(fit.calibration), ..alone }, drawn)

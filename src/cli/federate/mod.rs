@@ -17,11 +17,13 @@ use serde_json::{Value, json};
 use super::At;
 use super::download::{download, finish};
 use super::error::{CliError, CliResult};
+use super::making;
 use super::next::{Next, word};
 use super::output::{counted, grouped, say, say_json};
 use super::progress::shown_wait;
 use super::table::{Table, or_dash};
 use super::times::local;
+use crate::dataset::build::Progress;
 use crate::dataset::error::DatasetError;
 use crate::dataset::federate::{
     FETCHED, Federation, Fetched, LabelFile, MANIFEST, RigPart, TRIALS, Tables, join, prepare,
@@ -210,7 +212,7 @@ async fn current(
 
 async fn fetch(rig: &Rig, name: &str, stated: Stated, folder: &Path) -> CliResult<Fetched> {
     let Stated { id, rows, bytes, sha256, created_at, definition, .. } = stated;
-    let client = rig.client.patient(ASK_WAIT);
+    let client = rig.client.patient(ASK_WAIT).showing("asking the service");
     let lineage: Value = client.get(&format!("/api/v1/datasets/{id}/lineage")).await?;
     let fetched = Fetched {
         rig: rig.name.clone(),
@@ -246,9 +248,8 @@ async fn join_in(
     tables: Tables,
 ) -> CliResult<Federation> {
     let (folder, name) = (folder.to_owned(), name.to_owned());
-    let joining = tokio::task::spawn_blocking(move || join(&folder, &name, &used, tables));
-    let joined = shown_wait("joining the datasets", joining).await;
-    joined.unwrap_or(Err(DatasetError::Worker)).map_err(of_files)
+    let joining = move |rows: &Progress| join(&folder, &name, &used, tables, rows);
+    making::here("joining the datasets", "rows", joining).await.map_err(of_files)
 }
 
 fn of_files(error: DatasetError) -> CliError {

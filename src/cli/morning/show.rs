@@ -38,7 +38,7 @@ const BAR: usize = 30;
 /// Runs `palpate show`.
 ///
 /// # Errors
-/// `CliError::Problems` if there is no such run or trial; others as [`Client::send`].
+/// `CliError::NoSuch` or `Refused` if there is no such run or trial; others as [`Client::send`].
 pub async fn show(client: &Client, args: &ShowArgs) -> CliResult<()> {
     if let Some(part) = args.raw {
         return raw::show(client, &args.what, part).await;

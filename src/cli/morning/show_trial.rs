@@ -80,7 +80,7 @@ pub enum Frames {
 /// Returns the stored trial that a person named.
 ///
 /// # Errors
-/// `CliError::Problems` if there is no such trial; others as [`Client::send`].
+/// `CliError::NoSuch` if there is no such trial; others as [`Client::send`].
 pub async fn stored(client: &Client, name: &TrialName, frames: Frames) -> CliResult<TrialRow> {
     let query = match name {
         TrialName::Id(id) => format!("/api/v1/trials?trial_id={id}"),
@@ -93,14 +93,13 @@ pub async fn stored(client: &Client, name: &TrialName, frames: Frames) -> CliRes
     let path = format!("{query}&voltages={}&limit=1", frames == Frames::With);
     let page: Page<TrialRow> = client.get(&path).await?;
     page.items.into_iter().next().ok_or_else(|| {
-        let limit = "no trial has this name: palpate trials lists them";
         let shown = match name {
             TrialName::Id(id) => format!("t{id}"),
             TrialName::Key { run, configuration, depth_index } => {
                 format!("{run}/{configuration}/{depth_index}")
             }
         };
-        CliError::argument("TRIAL", shown, limit)
+        CliError::NoSuch(format!("no trial {shown}: palpate trials lists all"))
     })
 }
 

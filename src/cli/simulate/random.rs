@@ -16,7 +16,7 @@ use crate::cli::At;
 use crate::cli::error::CliResult;
 use crate::cli::next::Next;
 use crate::cli::output::{self, bytes, counted, duration, say, say_json};
-use crate::cli::progress::{LogLines, Working, progress_bar};
+use crate::cli::progress::{LogLines, progress_bar};
 use crate::cli::signals::Signals;
 use crate::cli::simulate::request::{RandomRequest, SolvedRequest, threads};
 use crate::new_file::Look;
@@ -91,10 +91,10 @@ fn make(args: &RandomArgs, stop: &AtomicBool) -> CliResult<ExitCode> {
 struct Screen {
     bar: ProgressBar,
     lines: LogLines,
-    /// Shown while every byte of the existing shards is read.
-    verifying: Option<Working>,
     json: bool,
     trials: u64,
+    /// Number of trials whose shards were checked.
+    checked: u64,
     found: u64,
     made: u64,
     stored: u64,
@@ -108,9 +108,9 @@ impl Screen {
         Self {
             lines: LogLines::instead_of(&bar),
             bar,
-            verifying: args.verify.then(|| Working::on("reading the existing shards")),
             json: args.json,
             trials: args.request.trials,
+            checked: 0,
             found: 0,
             made: 0,
             stored: 0,
@@ -120,11 +120,18 @@ impl Screen {
 
     fn tell(&mut self, progress: Progress<'_>) {
         match progress {
+            Progress::Checked(trials) => {
+                self.checked += trials;
+                self.bar.set_position(self.checked);
+                self.bar.set_message("(check of existing shards)");
+                let (checked, trials) = (self.checked, self.trials);
+                self.lines.say(|| format!("{checked}/{trials} checked"));
+            }
             Progress::Found { trials, damaged } => {
-                self.verifying = None;
                 self.found = trials;
                 self.stored = trials;
                 self.bar.set_position(trials);
+                self.bar.set_message("");
                 self.bar.reset_eta();
                 if damaged > 0 {
                     let shards = counted(damaged, "shard is", "shards are");

@@ -90,11 +90,17 @@ pub struct FittedRow {
     pub fitted_sd_mm: f64,
 }
 
-/// Reads indentations and fits the moduli to them; takes some seconds.
+/// Reads indentations and fits the moduli to them; takes some seconds. `tell` is called before each trial solution of the
+/// skin, with its number from 1.
 ///
 /// # Errors
 /// `CalibrateError` if a cell is invalid, the data do not determine the moduli, or the solve fails.
-pub fn calibrate(file: &str, text: &str, sensor: &Sensor) -> Result<FoamFit, CalibrateError> {
+pub fn calibrate(
+    file: &str,
+    text: &str,
+    sensor: &Sensor,
+    tell: &mut dyn FnMut(usize),
+) -> Result<FoamFit, CalibrateError> {
     let rows = read(file, text, sensor)?;
     let skin = Skin::new(sensor, &rows)?;
     let observed: Vec<f64> = rows.iter().map(|r| r.displacement_mm).collect();
@@ -102,14 +108,20 @@ pub fn calibrate(file: &str, text: &str, sensor: &Sensor) -> Result<FoamFit, Cal
         RegressionError::Model(error) => error,
         other => CalibrateError::undetermined(file, other),
     };
+    let mut solutions = 0;
+    let mut sinking = |ln: [f64; 2]| {
+        solutions += 1;
+        tell(solutions);
+        skin.sinking(ln)
+    };
     let start = sensor.file.layers.foam.youngs_mpa.ln();
     let alone = regression::fit(&observed, [start], |&[foam]| {
-        skin.sinking([foam, 0.0]).map(|p| one_unknown(&p))
+        sinking([foam, 0.0]).map(|p| one_unknown(&p))
     })
     .map_err(failed)?;
     let at = [alone.parameters[0], 0.0];
-    let both = if fabric_is_identified(&skin.sinking(at)?, &alone) {
-        Some(regression::fit(&observed, at, |ln| skin.sinking(*ln)).map_err(failed)?)
+    let both = if fabric_is_identified(&sinking(at)?, &alone) {
+        Some(regression::fit(&observed, at, |ln| sinking(*ln)).map_err(failed)?)
     } else {
         None
     };

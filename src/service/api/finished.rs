@@ -1,16 +1,20 @@
 //! Makes the dataset of each run that has ended, Parquet file and card. The file is written while the run is
-//! active, 1000 trials at a time, so that little is missing when it ends.
+//! active, 1000 trials at a time, so that little is missing when it ends. One for which the disk has no room is made
+//! once it has.
 //! Uses: `dataset`, `twins`, `store`. Never: more than a few seconds of work at a time while a run is active.
 
-use std::collections::HashSet;
+use std::collections::{HashMap, HashSet};
 use std::time::Duration;
 
+use jiff::Timestamp;
 use tokio::time::{sleep, timeout};
 use tracing::Instrument;
 
 use super::App;
 use crate::campaign::spans::run_span;
 use crate::dataset::definition::Definition;
+use crate::dataset::error::DatasetError;
+use crate::ids::RunUid;
 use crate::journal::error_chain;
 use crate::state::StoredState;
 use crate::store::RunKind;
@@ -24,10 +28,33 @@ const END_POLLS: u32 = 20;
 /// Number of runs that are checked, newest first.
 const CHECKED_RUNS: u32 = 20;
 
+/// An end of a run; a stopped run may be resumed, and ends again.
+type End = (RunUid, Option<Timestamp>);
+
+/// The ends of runs whose datasets were made, or could not be.
+#[derive(Debug, Default)]
+struct Handled(HashMap<End, Option<u64>>);
+
+impl Handled {
+    /// Notes how the dataset of an end was made, with the error if it was not: it may wait for room on the disk.
+    fn note(&mut self, end: End, error: Option<&DatasetError>) {
+        let awaited = match error {
+            Some(DatasetError::DiskFull { needed, kept, .. }) => Some(needed.saturating_add(*kept)),
+            _ => None,
+        };
+        self.0.insert(end, awaited);
+    }
+
+    /// Whether nothing is to be made for an end. `free`: free space of the disk, bytes.
+    fn has(&self, end: &End, free: u64) -> bool {
+        self.0.get(end).is_some_and(|awaited| awaited.is_none_or(|awaited| free < awaited))
+    }
+}
+
 /// Writes the trials of the active run ahead, and makes the dataset of every run that has ended and has its
 /// twins: while a run is active, only that of a run whose file was begun.
 pub async fn keep(app: App) {
-    let (mut done, mut given_up, mut soon) = (HashSet::new(), HashSet::new(), 0_u32);
+    let (mut handled, mut given_up, mut soon) = (Handled::default(), HashSet::new(), 0_u32);
     loop {
         let before = app.campaign.status().run.map(|run| run.uid);
         let changed = async {
@@ -61,9 +88,11 @@ pub async fn keep(app: App) {
                 continue;
             }
         };
+        // Unknown: as a full disk.
+        let free = app.store.free_bytes().await.unwrap_or(0);
         for run in runs.iter().filter(|run| run.state == StoredState::Ended) {
             let this = (run.uid, run.ended_at);
-            if done.contains(&this) || active.is_some() && begun != Some(run.scan_id) {
+            if handled.has(&this, free) || active.is_some() && begun != Some(run.scan_id) {
                 continue;
             }
             // An import may be of a skin without a model: its twins are not awaited.
@@ -75,16 +104,39 @@ pub async fn keep(app: App) {
             if twins_wait {
                 continue;
             }
-            // With the time of its end: a stopped run may be resumed.
-            done.insert(this);
             let making = async {
-                let made = app.datasets.make(&Definition::of_run(run.scan_id)).await;
-                if let Err(error) = made {
-                    let error = error_chain(&error);
+                let made = app.datasets.make(&Definition::of_run(run.scan_id)).await.err();
+                handled.note(this, made.as_ref());
+                let Some(failed) = made else { return };
+                let error = error_chain(&failed);
+                if let DatasetError::DiskFull { .. } = failed {
+                    let words = "the dataset of an ended run is made once the disk has room";
+                    tracing::warn!(error, "{words}");
+                } else {
                     tracing::info!(error, "the dataset of an ended run was not made");
                 }
             };
             making.instrument(run_span(run.uid, run.scan_id)).await;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::dataset::error::Product;
+
+    #[test]
+    fn a_dataset_for_which_the_disk_had_no_room_is_made_once_it_has() {
+        let (end, mut handled) = ((RunUid::new(), None), Handled::default());
+        assert!(!handled.has(&end, 0), "a new end");
+        let product = Product::Dataset;
+        let full = DatasetError::DiskFull { product, needed: 30, free: 80, kept: 100 };
+        handled.note(end, Some(&full));
+        assert!(handled.has(&end, 129) && !handled.has(&end, 130));
+        for error in [None, Some(&DatasetError::Worker)] {
+            handled.note(end, error);
+            assert!(handled.has(&end, u64::MAX), "{error:?}");
         }
     }
 }

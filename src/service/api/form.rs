@@ -66,11 +66,11 @@ impl Part<'_> {
     /// Returns all of it as text, of at most `PART_MAX_BYTES`.
     ///
     /// # Errors
-    /// 422 if it is not UTF-8; otherwise as [`Part::bytes`].
+    /// 400 if it is not UTF-8; otherwise as [`Part::bytes`].
     pub async fn text(self) -> ApiResult<String> {
         let name = self.name.clone();
         let bytes = self.bytes(PART_MAX_BYTES).await?;
-        String::from_utf8(bytes).map_err(|_| ApiError::value(&name, "bytes", "must be text, UTF-8"))
+        String::from_utf8(bytes).map_err(|_| invalid(&name, "bytes", "must be text, UTF-8"))
     }
 }
 

@@ -10,7 +10,7 @@ use utoipa::ToSchema;
 
 use super::App;
 use super::audit::{Act, cut};
-use super::form::Form;
+use super::form::{Form, invalid, missing};
 use super::jobs::ndjson;
 use super::limits::{MODEL_MAX_BYTES, WHO_MAX_CHARS};
 use super::pages::{Page, PageParams, PageRequest};
@@ -24,6 +24,7 @@ use crate::infer::slot::Slot;
 use crate::learn::model_file::{Manifest, ModelFacts, manifest_for_foreign, manifest_with_id};
 use crate::learn::residuals::Residuals;
 use crate::learn::task::NetTask;
+use crate::plain::violated;
 use crate::problem::Problem;
 use crate::store::{ModelRow, PromotionRow};
 use crate::syntax::parse_toml;
@@ -195,8 +196,9 @@ pub struct ModelForm {
 #[utoipa::path(post, operation_id = "add_model", path = "/api/v1/models", tag = "models",
     request_body(content = ModelForm, content_type = "multipart/form-data"),
     responses((status = 201, body = ModelOut, headers(("Location", description = "the model"))),
+        (status = 400, description = "a part of the form is missing, unknown or no text"),
         (status = 422,
-            description = "a part of the form is missing or invalid, or the model does not run")))]
+            description = "sensor, facts, id or residuals are invalid, or the model does not run")))]
 pub async fn add(app: App, act: Act, form: Form) -> ApiResult<Created<ModelOut>> {
     let parts = receive(form).await?;
     app.still_allowed(&act).await?;
@@ -226,15 +228,17 @@ async fn receive(mut form: Form) -> ApiResult<Parts> {
             "facts" => parts.facts = Some(part.text().await?),
             "name" => {
                 let name = part.text().await?;
-                ApiError::check_text("name", &name, WHO_MAX_CHARS)?;
+                if let Some(limit) = violated(&name, WHO_MAX_CHARS) {
+                    return Err(invalid("name", &cut(&name, WHO_MAX_CHARS), &limit));
+                }
                 parts.name = Some(name);
             }
             "id" => parts.id = Some(part.text().await?),
             "residuals" => parts.residuals = Some(part.text().await?),
             other => {
                 let name = cut(other, WHO_MAX_CHARS);
-                let limit = "must be file, sensor, facts, name, id or residuals";
-                return Err(ApiError::value("part", name, limit));
+                let limit = "unknown part: must be file, sensor, facts, name, id or residuals";
+                return Err(invalid(&name, "..", limit));
             }
         }
     }
@@ -243,15 +247,12 @@ async fn receive(mut form: Form) -> ApiResult<Parts> {
 
 /// Checks the parts of a form and stores the model.
 async fn store(app: &App, parts: Parts) -> ApiResult<ModelRow> {
-    fn given<T>(part: Option<T>, name: &str) -> ApiResult<T> {
-        let problem = || Problem::new("form", name, "absent", "must be given");
-        part.ok_or_else(|| ApiError::problems(vec![problem()]))
-    }
-    let (sensor, name) = (given(parts.sensor, "sensor")?, given(parts.name, "name")?);
-    let stated = given(parts.facts, "facts")?;
+    let sensor = parts.sensor.ok_or_else(|| missing("sensor"))?;
+    let name = parts.name.ok_or_else(|| missing("name"))?;
+    let stated = parts.facts.ok_or_else(|| missing("facts"))?;
+    let onnx = parts.file.ok_or_else(|| missing("file"))?;
     let (_, sensor_facts) = facts("sensor", &sensor).map_err(ApiError::problems)?;
     let stated: ModelFacts = parse_toml("facts", &stated).map_err(ApiError::problems)?;
-    let onnx = given(parts.file, "file")?;
     let manifest = match parts.id {
         None => manifest_for_foreign(&onnx, stated, &sensor_facts),
         Some(id) => manifest_with_id(&onnx, stated, &sensor_facts, ModelId::unchecked(id)),

@@ -123,7 +123,7 @@ pub async fn shift(
     Body(shift): Body<MoveRequest>,
 ) -> ApiResult<Page<RunRow>> {
     act.stated(shift.who.as_deref(), None);
-    let run = find(&app, &run).await?.uid;
-    act.on(run);
-    Ok(Page::whole(app.store.move_item(run, shift.position).await?))
+    let run = find(&app, &run).await?;
+    act.on(run.uid);
+    Ok(Page::whole(app.conductor.shift(&run, shift.position).await?))
 }

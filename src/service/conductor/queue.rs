@@ -1,4 +1,4 @@
-//! Submissions become queued runs; a queued run is edited or removed.
+//! Submissions become queued runs; a queued run is edited, moved or removed.
 //! Uses: `conductor::{prepare, turn}`, `store`. Never: a start.
 
 use jiff::Timestamp;
@@ -58,6 +58,15 @@ impl Conductor {
             self.say(&row, "not_begun", json!({ "why": why })).await;
         }
         Ok(row)
+    }
+
+    /// Moves a queued run to a position, from 1; a position after the end is the end. Returns the queue.
+    ///
+    /// # Errors
+    /// `ConductorError::Forbidden` if the run is not queued; `Store` if the store fails.
+    pub async fn shift(&self, run: &RunRow, position: u32) -> Result<Vec<RunRow>, ConductorError> {
+        self.require_queued(run, "moved")?;
+        Ok(self.inner.store.move_item(run.uid, position).await?)
     }
 
     /// Removes a run from the queue permanently, but not while it begins. Its row remains, in the state `removed`.

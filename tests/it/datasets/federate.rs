@@ -5,10 +5,13 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::process::Command;
+use std::sync::atomic::Ordering::Relaxed;
 use std::time::{Duration, Instant};
 
 use arrow_array::cast::AsArray;
 use arrow_array::types::UInt32Type;
+use palpate::dataset::build::Progress;
+use palpate::dataset::federate::{Fetched, Tables, join};
 use palpate::dataset::format::Rows;
 use palpate::dataset::read::DatasetRows;
 use palpate::dataset::select::Wanted;
@@ -134,6 +137,12 @@ async fn two_rigs_become_tables_whose_ids_no_two_rows_share() {
     assert_eq!(ids.len() as u64, 2 * REAL);
     let manifest = std::fs::read(out.join("manifest.json")).unwrap();
     let manifest: Value = serde_json::from_slice(&manifest).unwrap();
+    // Joined again, the rows are counted, and no byte differs.
+    let kept = ["a", "b"].map(|name| Fetched::read(&out, name).unwrap().unwrap());
+    let (progress, before) = (Progress::default(), files(&out));
+    join(&out, "real", &kept, Tables::Joint, &progress).unwrap();
+    assert_eq!([&progress.done, &progress.total].map(|rows| rows.load(Relaxed)), [2 * REAL; 2]);
+    assert_eq!(files(&out), before);
     let of_a = &manifest["rigs"][0];
     assert_eq!((&of_a["rig"], &of_a["url"]), (&json!("a"), &json!(a.url(""))));
     assert_eq!(of_a["dataset"], a.get("/api/v1/datasets/real").await["id"]);

@@ -255,6 +255,20 @@ async fn what_cannot_be_is_named_and_changes_nothing() {
         assert_eq!(status, 422, "{body}");
         assert!(body["detail"].as_str().unwrap().contains(words), "{words}: {body}");
     }
+    // What is wrong with the form itself is refused as in other forms.
+    let form = reqwest::multipart::Form::new;
+    let no_text = reqwest::multipart::Part::bytes(vec![0xff_u8]);
+    for (form, words) in [
+        (form().text("colour", "red"), "colour = ..: unknown part"),
+        (form().text("sensor", SENSOR), "name = absent"),
+        (form().text("name", "a\nb"), "no control characters"),
+        (form().part("facts", no_text), "facts = bytes: must be text"),
+    ] {
+        let answer = lab.http.post(lab.url("/api/v1/models")).multipart(form).send().await.unwrap();
+        assert_eq!(answer.status(), 400, "{words}");
+        let body: Value = answer.json().await.unwrap();
+        assert!(body["detail"].as_str().unwrap().contains(words), "{words}: {body}");
+    }
     assert_eq!(lab.get("/api/v1/models").await["items"].as_array().unwrap().len(), 1);
 
     let request = json!({ "method": "fast", "model": id, "frames": [frame] });

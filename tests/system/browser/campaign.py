@@ -14,6 +14,13 @@ STOPPED_ONCE = """import('/web/lib/api.js').then(({ once }) => {
   setTimeout(() => document.getElementById('stop').click(), 200)
 })"""
 RESENT_MS = 1500
+# The page is told that the data of the rig are measured.
+MEASURED = """import('/web/lib/live.js').then(({ live }) => {
+  let kept
+  const take = status => { status.rig.label = 'measured'; kept = status }
+  take(live.status)
+  Object.defineProperty(live, 'status', { get: () => kept, set: take })
+})"""
 
 SMALL = """name = 'small'
 seed = 5
@@ -169,7 +176,7 @@ def operate(page, _browser):
     pressed(page, "Pause")
     # It measures the surface first: minutes, where other tests share the machine.
     state(page, "paused", RUN_MS)
-    pressed(page, "Resume")
+    resumed_on_a_real_rig(page)
     state(page, "running")
     # Answers that never end hold all connections that a browser opens to one service.
     page.evaluate("import('/web/lib/api.js').then(({ ask }) => { for (let n = 0; n < 8; n += 1)"
@@ -185,6 +192,23 @@ def operate(page, _browser):
     pressed(page, "Resume")
     until("the end of the run", lambda: api(f"/runs/{run['uid']}").get("exit_status") == "success", 240)
     assert not errors, errors
+
+
+def resumed_on_a_real_rig(page):
+    """On a rig that is not virtual the page asks before a paused run moves it. Cancelled, the run stays paused."""
+    page.evaluate(MEASURED)
+    dialog = page.locator("dialog[open]")
+    pressed(page, "Resume")
+    expect(dialog).to_contain_text("Keep hands and tools away from the rig", timeout=LIMIT_MS)
+    page.keyboard.press("Escape")
+    expect(dialog).to_have_count(0)
+    page.wait_for_timeout(500)
+    assert api("/status")["run"]["state"] == "paused"
+    pressed(page, "Resume")
+    in_dialog(page, "Resume")
+    until("the resumed run", lambda: api("/status")["run"]["state"] != "paused")
+    # Virtual again.
+    page.goto(URL)
 
 
 def jog_steps(page):

@@ -71,6 +71,7 @@ pub struct OperatorArgs {
 
 /// Reason why the operator cannot work.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs, reason = "the message names the fields")]
 pub enum OperatorError {
     /// The runtime or the signal handlers could not be created.
     #[error(transparent)]
@@ -84,6 +85,11 @@ pub enum OperatorError {
     /// The HTTP client could not be built.
     #[error("HTTP client: {0}")]
     Client(#[source] reqwest::Error),
+    /// The service does not answer, or has ended.
+    #[error(
+        "no answer of a palpate service at {url} for {after_s:.0} s: {why}; name its address with --url"
+    )]
+    Away { url: String, after_s: f64, why: String },
 }
 
 /// Reason why one status check or action failed; the next check is the retry.
@@ -151,7 +157,7 @@ impl Run {
 /// Works until a signal, until the parent ends, or until the service has not replied for 10 s.
 ///
 /// # Errors
-/// The runtime, the signal handlers or the HTTP client cannot be created.
+/// The runtime, the signal handlers or the HTTP client cannot be created; `Away` if the service did not reply.
 pub fn operator_main(args: OperatorArgs) -> Result<(), OperatorError> {
     let runtime = tokio::runtime::Builder::new_current_thread()
         .enable_all()
@@ -162,10 +168,9 @@ pub fn operator_main(args: OperatorArgs) -> Result<(), OperatorError> {
         let key = std::env::var(KEY_VARIABLE).ok();
         let mut operator = Operator::new(args, key)?;
         tokio::select! {
-            () = ended => {}
-            () = operator.work(AWAY_MAX) => {}
+            () = ended => Ok(()),
+            away = operator.work(AWAY_MAX) => Err(away),
         }
-        Ok(())
     })
 }
 
@@ -199,8 +204,8 @@ impl Operator {
         Ok(Self { args, key, client, control, weights_down, confirmed, tared, hand, refused })
     }
 
-    /// Checks and acts until the service has not replied for `away_max`.
-    async fn work(&mut self, away_max: Duration) {
+    /// Checks and acts until the service has not replied for `away_max`; returns this as an error.
+    async fn work(&mut self, away_max: Duration) -> OperatorError {
         let look = STATUS_POLL.div_f64(self.args.speed.max(1.0)).max(STATUS_POLL_MIN);
         let mut seen = Instant::now();
         let mut told = String::new();
@@ -213,8 +218,12 @@ impl Operator {
                 }
                 Err(error) => Err(error),
             };
-            if seen.elapsed() > away_max {
-                return;
+            // After an answer it was seen just now.
+            if let Err(error) = &outcome
+                && seen.elapsed() > away_max
+            {
+                let (url, after_s) = (self.args.url.clone(), away_max.as_secs_f64());
+                return OperatorError::Away { url, after_s, why: cause(error) };
             }
             let trouble = outcome.err().map(|e| e.to_string()).unwrap_or_default();
             if trouble != told && !trouble.is_empty() {
@@ -390,6 +399,15 @@ impl Operator {
         }
         Ok(reply)
     }
+}
+
+/// The first cause of an error: that of the HTTP client repeats the address.
+fn cause(error: &HandError) -> String {
+    let mut first: &dyn std::error::Error = error;
+    while let Some(source) = first.source() {
+        first = source;
+    }
+    first.to_string()
 }
 
 /// A number with its noun.

@@ -77,10 +77,11 @@ async fn it_does_what_the_run_asks_says_so_and_goes_home() {
     ];
     let url = service(requests, Arc::clone(&heard)).await;
     let who = "virtual operator".to_owned();
-    let args = OperatorArgs { speed: 20.0, who, ..args(url, control) };
+    let args = OperatorArgs { speed: 20.0, who, ..args(url.clone(), control) };
     let mut operator = Operator::new(args, Some("k".into())).unwrap();
     let work = operator.work(Duration::from_millis(300));
-    timeout(Duration::from_secs(10), work).await.unwrap();
+    let away = timeout(Duration::from_secs(10), work).await.unwrap().to_string();
+    assert!(away.starts_with(&format!("no answer of a palpate service at {url} for ")), "{away}");
     let heard: Vec<Value> =
         heard.lock().unwrap().iter().map(|l| serde_json::from_str(l).unwrap()).collect();
     let who = "virtual operator";

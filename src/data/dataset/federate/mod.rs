@@ -18,12 +18,13 @@ use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::fs::File;
 use std::io;
 use std::path::{Path, PathBuf};
+use std::sync::atomic::Ordering::Relaxed;
 
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
-use super::build::data_file;
+use super::build::{Progress, data_file};
 use super::error::DatasetError;
 use super::format::Rows;
 use super::read::{DatasetRows, sensor_text};
@@ -212,7 +213,7 @@ pub fn prepare(folder: &Path, rig: &str) -> Result<(), DatasetError> {
 }
 
 /// Writes the tables and the manifest of fetched datasets, in the order of their rigs. The tables of other rigs
-/// are removed. Blocks for the whole duration.
+/// are removed. Blocks for the whole duration. `progress`: rows of the tables, once the files are checked.
 ///
 /// # Errors
 /// `DatasetError::Problems` if a file does not have its sha256, rigs differ, or a run is of two rigs: nothing is
@@ -222,6 +223,7 @@ pub fn join(
     dataset: &str,
     rigs: &[Fetched],
     tables: Tables,
+    progress: &Progress,
 ) -> Result<Federation, DatasetError> {
     let mut damaged = Vec::new();
     for fetched in rigs {
@@ -234,7 +236,9 @@ pub fn join(
     if tables == Tables::Joint {
         refuse(differences(&opened))?;
     }
-    let parts = opened.iter().map(|opened| opened.write(folder)).collect::<Result<Vec<_>, _>>()?;
+    progress.total.store(rigs.iter().map(|fetched| fetched.rows).sum(), Relaxed);
+    let parts = opened.iter().map(|opened| opened.write(folder, progress));
+    let parts = parts.collect::<Result<Vec<_>, _>>()?;
     let rows = parts.iter().flat_map(|part| &part.files).map(|file| file.rows).sum();
     let apart = tables == Tables::Apart;
     let federation = Federation { dataset: dataset.to_owned(), apart, rows, rigs: parts };
@@ -259,7 +263,7 @@ impl<'a> Opened<'a> {
     }
 
     /// Writes its sensor file and its tables.
-    fn write(&self, folder: &Path) -> Result<RigPart, DatasetError> {
+    fn write(&self, folder: &Path, progress: &Progress) -> Result<RigPart, DatasetError> {
         let Fetched { rig, dataset, lineage, .. } = self.fetched;
         let mut metadata = HashMap::from([
             ("palpate.rig".to_owned(), rig.clone()),
@@ -271,7 +275,7 @@ impl<'a> Opened<'a> {
             metadata.insert(SENSOR_KEY.to_owned(), self.sensor.clone());
             write(&place(folder, rig), SENSOR, &self.sensor)?;
         }
-        let files = table::write(rig, &self.rows, &self.offsets, &metadata, folder)?;
+        let files = table::write(rig, &self.rows, &self.offsets, &metadata, folder, progress)?;
         Ok(RigPart {
             fetched: self.fetched.clone(),
             sensor_file: has_sensor.then(|| format!("{FETCHED}/{rig}/{SENSOR}")),

@@ -9,6 +9,7 @@ use std::collections::btree_map::Entry;
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::path::Path;
 use std::sync::Arc;
+use std::sync::atomic::Ordering::Relaxed;
 
 use arrow_array::cast::AsArray;
 use arrow_array::types::{UInt32Type, UInt64Type};
@@ -21,6 +22,7 @@ use arrow_select::filter::filter_record_batch;
 use serde::Serialize;
 
 use super::TRIALS;
+use crate::dataset::build::Progress;
 use crate::dataset::error::DatasetError;
 use crate::dataset::format::{FormatError, ParquetWriter, Rows};
 use crate::dataset::read::DatasetRows;
@@ -85,7 +87,7 @@ pub(super) fn offsets(rows: &DatasetRows) -> Result<BTreeMap<String, u32>, Datas
     Ok(offsets)
 }
 
-/// Writes the tables of a rig's rows, one for each label, into the folder of the federation.
+/// Writes the tables of a rig's rows, one for each label, into the folder of the federation, and counts the rows.
 ///
 /// # Errors
 /// `DatasetError::Format` or `Arrow` if the rows cannot be read or lack a column, `Problems` if a label is
@@ -96,6 +98,7 @@ pub(super) fn write(
     offsets: &BTreeMap<String, u32>,
     metadata: &HashMap<String, String>,
     folder: &Path,
+    progress: &Progress,
 ) -> Result<Vec<LabelFile>, DatasetError> {
     let own = [RIG, TRIAL].map(|name| Field::new(name, DataType::Utf8, false));
     let schema = rows.schema();
@@ -119,6 +122,7 @@ pub(super) fn write(
             writer.push(&part)?;
             *count += part.num_rows() as u64;
         }
+        progress.done.fetch_add(batch.num_rows() as u64, Relaxed);
     }
     let mut files = Vec::new();
     for (label, (mut writer, rows)) in tables {

@@ -160,7 +160,7 @@ pub fn gather(
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use std::collections::BTreeMap;
 
     use super::*;
@@ -170,7 +170,8 @@ mod tests {
     use crate::simulate::random::draw::Draws;
     use crate::simulate::random::manifest::Shard;
 
-    fn definition() -> Definition {
+    /// Of 2500 trials in three shards.
+    pub(in super::super) fn definition() -> Definition {
         Definition {
             experiment: SIM_RANDOM.into(),
             format_version: 1,

@@ -32,6 +32,8 @@ use crate::new_file::Look;
 /// Progress of the generation.
 #[derive(Debug, Clone, Copy)]
 pub enum Progress<'a> {
+    /// Number of further trials whose shard was checked, or is missing.
+    Checked(u64),
     /// Result of the check of existing shards, before the first new trial.
     Found {
         /// Number of trials in valid shards.
@@ -125,6 +127,7 @@ fn missing(
                 missing.push(shard);
             }
         }
+        tell(Progress::Checked(shard.trials));
     }
     tell(Progress::Found { trials, damaged });
     Ok(missing)
@@ -139,5 +142,26 @@ fn reproduced(before: Option<&ShardRow>, now: &ShardRow) -> Result<(), RandomErr
             now: now.sha256.clone(),
         }),
         _ => Ok(()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::calibrate::paper::SENSOR;
+
+    #[test]
+    fn the_trials_of_each_shard_are_counted_as_it_is_checked() {
+        let definition = chunks::tests::definition();
+        let sensor = Sensor::from_toml(SENSOR).unwrap();
+        let outer = tempfile::tempdir().unwrap();
+        let path = outer.path().join("shards");
+        let (folder, manifest) = Folder::take_for(&path, &definition, &sensor.file).unwrap();
+        let mut told = Vec::new();
+        let mut tell = |progress: Progress<'_>| told.push(format!("{progress:?}"));
+        let found = missing(&definition, &manifest, &folder, Look::Sha256, &mut tell).unwrap();
+        assert_eq!(found.len(), 3);
+        let found = "Found { trials: 0, damaged: 0 }";
+        assert_eq!(told, ["Checked(1000)", "Checked(1000)", "Checked(500)", found]);
     }
 }
