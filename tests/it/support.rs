@@ -11,7 +11,9 @@ use serde_json::Value;
 use sim_core::sensor::Sensor;
 use tempfile::TempDir;
 
-pub use crate::common::{Process, SENSOR, http, serve_options, skin_cache, until, with_responses};
+pub use crate::common::{
+    Process, SENSOR, answered, http, serve_options, skin_cache, until, with_responses,
+};
 
 pub const PALPATE: &str = env!("CARGO_BIN_EXE_palpate");
 
