@@ -249,15 +249,13 @@ mod tests {
     use std::sync::Arc;
     use std::sync::atomic::AtomicU64;
 
-    use super::super::stand_in::{asked, conductor, granted, in_an_hour, queued_on, start};
+    use super::super::stand_in::{asked, conductor, driven, granted, in_an_hour, queued_on, start};
     use super::super::{AutoResume, Started, Terms};
     use super::*;
     use crate::campaign::bench::interlock::{Trip, TripKind};
     use crate::campaign::bench::rig_state::RigState;
     use crate::campaign::shown::command::Request;
     use crate::campaign::shown::show;
-    use crate::journal::Journal;
-    use crate::state::StateChange;
     use crate::suspension::Suspensions;
 
     /// Why a run is dropped.
@@ -290,8 +288,7 @@ mod tests {
         let (conductor, mut inbox, _folder) = conductor().await;
         let terms = Terms { auto_resume: Some(true), not_before: None };
         let run = queued_on(&conductor, terms).await;
-        let running = StateChange::to(StoredState::Running);
-        conductor.inner.store.run_state(run.uid, running, Timestamp::now()).await.unwrap();
+        driven(&conductor, &run).await;
         let trips = async {
             let answer = asked(&mut inbox, |request| matches!(request, Request::Connect)).await;
             let trip = Trip { kind: TripKind::Stale, detail: "x: no reply".into() };
@@ -371,8 +368,7 @@ mod tests {
         let (conductor, inbox, _folder) = conductor().await;
         let run = queued(&conductor, None).await;
         let job = conductor.prepare_stored(&run).await.unwrap().job(&run);
-        let running = StateChange::to(StoredState::Running);
-        conductor.inner.store.run_state(run.uid, running, Timestamp::now()).await.unwrap();
+        driven(&conductor, &run).await;
         let one_at_a_time = conductor.inner.beginning.lock().await;
         let taken = conductor.resume_after_restart(AutoResume::Allowed);
         let begins = async {

@@ -131,13 +131,14 @@ mod tests {
     use std::sync::atomic::Ordering;
     use std::time::Duration;
 
-    use super::super::stand_in::{conductor, granted, in_an_hour, queued_on, start};
+    use super::super::stand_in::{
+        conductor, driven, granted, in_an_hour, queued_on, start, unasked,
+    };
     use super::super::{CODE_VALID, Started};
     use super::*;
     use crate::campaign::shown::command::{Envelope, Refusal, Request};
     use crate::campaign::shown::show;
     use crate::journal::{ExitStatus, Journal};
-    use crate::state::StateChange;
 
     fn early() -> Terms {
         Terms { auto_resume: None, not_before: in_an_hour() }
@@ -208,8 +209,7 @@ mod tests {
         let (started, ()) = tokio::join!(conductor.start(&run, &code, "ada".into()), begins);
         assert_eq!(started.unwrap(), Started::Running);
         let store = &conductor.inner.store;
-        let running = StateChange::to(StoredState::Running);
-        store.run_state(run.uid, running, Timestamp::now()).await.unwrap();
+        driven(&conductor, &run).await;
         // The campaign does not drive it any more: its end waits for the store.
         for _ in 0..2 {
             let noted = granted(&mut inbox, |request| matches!(request, Request::CameLate));
@@ -229,8 +229,7 @@ mod tests {
         let (conductor, _inbox, _folder) = conductor().await;
         let run = queued_on(&conductor, early()).await;
         let store = &conductor.inner.store;
-        let running = StateChange::to(StoredState::Running);
-        store.run_state(run.uid, running, Timestamp::now()).await.unwrap();
+        driven(&conductor, &run).await;
         store.interrupt_open_runs(None).await.unwrap();
         let run = conductor.present(&run).await.unwrap();
         let code = conductor.arm(&run).await.unwrap().code;
@@ -304,10 +303,8 @@ mod tests {
                 drop(one_at_a_time);
             };
             let start = conductor.start(&run, &code, "ada".into());
-            let started = tokio::select! {
-                both = async { tokio::join!(start, locks).0 } => both,
-                asked = inbox.next() => panic!("{asked:?}"),
-            };
+            let both = async { tokio::join!(start, locks).0 };
+            let started = unasked(&mut inbox, both).await;
             let words = started.unwrap_err().to_string();
             assert_eq!(words, "bob has taken the operator lock: hands in the rig");
             assert!(conductor.waiting().is_empty());

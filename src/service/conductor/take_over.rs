@@ -346,12 +346,11 @@ impl Conductor {
 #[cfg(test)]
 mod tests {
     use super::super::Terms;
-    use super::super::stand_in::{asked, conductor, granted, queued_on};
+    use super::super::stand_in::{asked, conductor, driven, granted, queued_on, unasked};
     use super::*;
     use crate::campaign::shown::command::Inbox;
     use crate::campaign::shown::show;
-    use crate::journal::Journal;
-    use crate::state::{StateChange, StoredState};
+    use crate::state::StoredState;
 
     /// Why a run is dropped.
     const RUN_ABORTED: &str = "a run was aborted";
@@ -359,12 +358,10 @@ mod tests {
     /// A run that the earlier process drove, and one that waited behind it.
     async fn earlier(conductor: &Conductor) -> [RunRow; 2] {
         let terms = Terms { auto_resume: Some(true), not_before: None };
-        let [driven, next] = [queued_on(conductor, terms).await, queued_on(conductor, terms).await];
-        let store = &conductor.inner.store;
-        let running = StateChange::to(StoredState::Running);
-        store.run_state(driven.uid, running, Timestamp::now()).await.unwrap();
-        store.set_waiting(next.uid).await.unwrap();
-        [driven, next]
+        let [run, next] = [queued_on(conductor, terms).await, queued_on(conductor, terms).await];
+        driven(conductor, &run).await;
+        conductor.inner.store.set_waiting(next.uid).await.unwrap();
+        [run, next]
     }
 
     /// A person aborts a run, and the campaign is told.
@@ -384,11 +381,8 @@ mod tests {
         let [driven, next] = earlier(&conductor).await;
         // The database is still examined.
         abort(&conductor, &driven, &mut inbox).await;
-        let taken = tokio::select! {
-            taken = conductor.resume_after_restart(AutoResume::Allowed) => taken,
-            asked = inbox.next() => panic!("{asked:?}"),
-        };
-        taken.unwrap();
+        let taken = conductor.resume_after_restart(AutoResume::Allowed);
+        unasked(&mut inbox, taken).await.unwrap();
         assert_eq!(conductor.why_dropped(next.uid), Some(format!("{RUN_ABORTED}: start it again")));
         assert!(conductor.inner.store.waiting_runs().await.unwrap().is_empty());
     }
