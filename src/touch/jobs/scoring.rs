@@ -28,7 +28,7 @@ use crate::evaluate::touch::{Metric, Touch, TouchError};
 use crate::evaluate::voltages::VoltageScores;
 use crate::ids::{DatasetId, TrialId};
 use crate::infer::answer::{FoundContact, Reading};
-use crate::infer::error::InferError;
+use crate::infer::error::{InferError, InferResult};
 use crate::infer::maps::ForceMaps;
 use crate::infer::methods::ReadyMethod;
 use crate::infer::registry::Model;
@@ -118,7 +118,7 @@ impl Scoring {
     }
 
     /// Checks that the models are for the sensor of the rows.
-    fn check_sensor(&self) -> Result<(), InferError> {
+    fn check_sensor(&self) -> InferResult<()> {
         let here = &self.gathered.skin;
         for net in self.reader.nets() {
             net.is_for(&here.name, here.channels)?;

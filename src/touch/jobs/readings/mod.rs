@@ -19,7 +19,7 @@ use crate::digest::sha256_hex;
 use crate::evaluate::request::{EvaluationReport, EvaluationRequest, Scored};
 use crate::ids::DatasetId;
 use crate::infer::answer::Reading;
-use crate::infer::error::InferError;
+use crate::infer::error::InferResult;
 use crate::infer::maps::ForceMaps;
 use crate::infer::methods::exact::{ExactPipeline, ExactSkin};
 use crate::infer::methods::{Frames, ReadyMethod, UsedSkin};
@@ -185,7 +185,7 @@ struct Replayed {
 }
 
 impl ReadyMethod for Replayed {
-    fn read(&self, frames: &Frames<'_>, _: ForceMaps) -> Result<Vec<Reading>, InferError> {
+    fn read(&self, frames: &Frames<'_>, _: ForceMaps) -> InferResult<Vec<Reading>> {
         let count = frames.voltages_v.len() / self.exact.skin.channels();
         Ok(self.readings.lock().by_ref().take(count).collect())
     }
