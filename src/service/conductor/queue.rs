@@ -5,7 +5,7 @@ use jiff::Timestamp;
 use serde_json::json;
 
 use super::prepare::{Prepared, run_kind};
-use super::{Conductor, ConductorError, Submission, turn};
+use super::{Conductor, ConductorError, ConductorResult, Submission, turn};
 use crate::ids::{CalibrationId, RunUid};
 use crate::state::StoredState;
 use crate::store::{NewRun, RunRow};
@@ -30,7 +30,7 @@ impl Conductor {
         submission: Submission,
         who: String,
         terms: Terms,
-    ) -> Result<RunRow, ConductorError> {
+    ) -> ConductorResult<RunRow> {
         let new = self.new_run(RunUid::new(), submission, who, terms).await?;
         Ok(self.inner.store.enqueue(new).await?)
     }
@@ -45,7 +45,7 @@ impl Conductor {
         run: &RunRow,
         submission: Submission,
         terms: Terms,
-    ) -> Result<RunRow, ConductorError> {
+    ) -> ConductorResult<RunRow> {
         self.require_queued(run, "edited")?;
         let new = self.new_run(run.uid, submission, run.submitted_by.clone(), terms).await?;
         let _one_at_a_time = self.inner.beginning.lock().await;
@@ -64,7 +64,7 @@ impl Conductor {
     ///
     /// # Errors
     /// `ConductorError::Forbidden` if the run is not queued; `Store` if the store fails.
-    pub async fn remove(&self, run: &RunRow) -> Result<RunRow, ConductorError> {
+    pub async fn remove(&self, run: &RunRow) -> ConductorResult<RunRow> {
         let _one_at_a_time = self.inner.beginning.lock().await;
         self.require_queued(&self.present(run).await?, "removed")?;
         let row = self.inner.store.remove(run.uid).await?;
@@ -72,7 +72,7 @@ impl Conductor {
         Ok(row)
     }
 
-    fn require_queued(&self, run: &RunRow, becomes: &str) -> Result<(), ConductorError> {
+    fn require_queued(&self, run: &RunRow, becomes: &str) -> ConductorResult<()> {
         let active = self.inner.campaign.status().run.is_some_and(|r| r.uid == run.uid);
         let state = if active { StoredState::Running } else { run.state };
         if state == StoredState::Queued {
@@ -88,7 +88,7 @@ impl Conductor {
         submission: Submission,
         who: String,
         terms: Terms,
-    ) -> Result<NewRun, ConductorError> {
+    ) -> ConductorResult<NewRun> {
         turn::check(terms.not_before, Timestamp::now())
             .map_err(|problems| ConductorError::Problems { problems })?;
         let definition = submission.definition.clone();

@@ -4,7 +4,7 @@
 
 use std::sync::atomic::Ordering;
 
-use super::{Conductor, ConductorError};
+use super::{Conductor, ConductorError, ConductorResult};
 use crate::campaign::bench::rig_state::RigState;
 use crate::campaign::shown::command::Request;
 use crate::journal::error_chain;
@@ -20,7 +20,7 @@ impl Conductor {
     ///
     /// # Errors
     /// `Store` if the store fails: then only this process drives nothing.
-    pub async fn note_stop(&self) -> Result<(), ConductorError> {
+    pub async fn note_stop(&self) -> ConductorResult<()> {
         // Before the wait, and in memory: an attempt in progress does not begin it, whatever the store does.
         self.note_operation();
         // With open wires the press trips the rig, which drops the runs that wait.
@@ -45,7 +45,7 @@ impl Conductor {
     /// # Errors
     /// `Forbidden` if a run is active; `Refused` if nothing moves; `Store` if the store fails: then only this process
     /// drives nothing.
-    pub async fn abort_motion(&self) -> Result<(), ConductorError> {
+    pub async fn abort_motion(&self) -> ConductorResult<()> {
         if let Some(run) = self.inner.campaign.status().run {
             let words = format!("run {} is active: pause, stop or abort it", run.scan_id);
             return Err(ConductorError::Forbidden(words));
@@ -74,7 +74,7 @@ impl Conductor {
 
     /// Refuses to let a run wait while the e-stop is latched, also with closed wires, where nothing is tripped: it
     /// would wait in the next process, too.
-    pub(super) fn require_released(&self) -> Result<(), ConductorError> {
+    pub(super) fn require_released(&self) -> ConductorResult<()> {
         let pressed = self.inner.campaign.stop_switch().pressed();
         pressed.map_or(Ok(()), |press| {
             let why = press.why;
