@@ -17,7 +17,7 @@ use crate::evaluate::touch::Metric;
 use crate::figure::Heading;
 use crate::ids::ModelId;
 use crate::infer::methods::Method;
-use crate::lab::{Lab, Noise, StudyError};
+use crate::lab::{Lab, Noise, StudyResult};
 use crate::noise::LEVELS;
 use crate::rows::{distances_note, perfects};
 use crate::sheet::{OutputFile, Sheet};
@@ -94,11 +94,7 @@ fn percent(level: f64) -> String {
 }
 
 /// Analyses the conditions and shows them.
-fn sheet(
-    budget: &Budget,
-    transfer: &ModelId,
-    conditions: &[Condition],
-) -> Result<Sheet, StudyError> {
+fn sheet(budget: &Budget, transfer: &ModelId, conditions: &[Condition]) -> StudyResult<Sheet> {
     let mut text = String::from(
         "# Fig. 11: the whole pipeline on the held-out part of real, each contact a sample\n",
     );
@@ -149,7 +145,7 @@ fn sheet(
 }
 
 /// The design without samples: three factors, 2 x 2 x 3 levels.
-fn design(budget: &Budget) -> Result<Factorial, StudyError> {
+fn design(budget: &Budget) -> StudyResult<Factorial> {
     let factor = |name: &str, levels: Vec<String>| Factor { name: name.into(), levels };
     let mm = |values: [f64; 2]| values.map(|mm| format!("{mm} mm")).to_vec();
     let factors = vec![

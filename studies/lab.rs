@@ -167,6 +167,9 @@ pub struct Trial {
 pub const NO_METHOD: &str = "must be of the rig's sensor, or have a split, on whose part train the paper's nets \
                              learn (without --ours)";
 
+/// Result of a study or of a part of it.
+pub type StudyResult<T> = Result<T, StudyError>;
+
 /// Why a study has no result.
 #[derive(Debug, thiserror::Error)]
 #[allow(missing_docs, reason = "the message names the fields")]
@@ -284,21 +287,21 @@ pub mod fake {
     impl Lab for FakeLab {
         type Error = StudyError;
 
-        async fn split_by(&self, _: &str) -> Result<String, StudyError> {
+        async fn split_by(&self, _: &str) -> StudyResult<String> {
             Ok("configuration".into())
         }
 
-        async fn facts(&self, _: &str) -> Result<DatasetFacts, StudyError> {
+        async fn facts(&self, _: &str) -> StudyResult<DatasetFacts> {
             Ok(self.facts.unwrap_or(REAL_UNSEEN_FACTS))
         }
 
-        async fn train(&self, training: &Training) -> Result<ModelId, StudyError> {
+        async fn train(&self, training: &Training) -> StudyResult<ModelId> {
             let mut trained = self.trained.lock().unwrap();
             trained.push(training.clone());
             Ok(ModelId::unchecked(format!("mdl-{}", trained.len())))
         }
 
-        async fn score(&self, request: &EvaluationRequest) -> Result<EvaluationReport, StudyError> {
+        async fn score(&self, request: &EvaluationRequest) -> StudyResult<EvaluationReport> {
             self.scored.lock().unwrap().push(request.clone());
             let report = json!({ "scored": request.scored, "dataset": "ds-1", "label": "virtual",
                 "models": [], "rows": 0, "threshold_n": 5.0 });
@@ -306,22 +309,17 @@ pub mod fake {
             Ok(if self.scores { with_scores(request, report) } else { report })
         }
 
-        async fn residuals(&self, _: &ModelId) -> Result<Residuals, StudyError> {
+        async fn residuals(&self, _: &ModelId) -> StudyResult<Residuals> {
             Ok(Residuals { mean_v: vec![0.0; 784], sd_v: vec![0.1; 784], trials: 1 })
         }
 
-        async fn first_trial(&self, _: &str, _: &[String]) -> Result<Option<Trial>, StudyError> {
+        async fn first_trial(&self, _: &str, _: &[String]) -> StudyResult<Option<Trial>> {
             let contacts = vec![contact(200.0, 16.0)];
             let trial = Trial { frame_v: vec![0.0; 784], contacts, label: Label::Virtual };
             Ok(self.scores.then_some(trial))
         }
 
-        async fn reading(
-            &self,
-            _: &[f32],
-            _: &ModelId,
-            _: &ModelId,
-        ) -> Result<Reading, StudyError> {
+        async fn reading(&self, _: &[f32], _: &ModelId, _: &ModelId) -> StudyResult<Reading> {
             Ok(Reading::default())
         }
     }

@@ -6,7 +6,7 @@ use std::fmt::Write;
 use serde_json::json;
 use sim_core::sensor::Sensor;
 
-use crate::evaluate::figures::{FigureError, Quantity, boxes, by_force, map};
+use crate::evaluate::figures::{FigureResult, Quantity, boxes, by_force, map};
 use crate::evaluate::frame_pairs::{FramePair, frame_pairs};
 use crate::evaluate::simulation::{BoxPlot, FORCE_BIN_N, SimulationReport};
 use crate::figure::Heading;
@@ -30,7 +30,7 @@ pub fn files(
     run: &RunRow,
     report: &SimulationReport,
     pairs: &[FramePair],
-) -> Result<Vec<OutputFile>, FigureError> {
+) -> FigureResult<Vec<OutputFile>> {
     let numbers = json!({
         "run": run.uid, "scan_id": run.scan_id, "experiment": run.experiment, "label": run.label,
         "report": report,

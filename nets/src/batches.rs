@@ -7,7 +7,7 @@ use std::sync::mpsc::{Receiver, sync_channel};
 use rand::seq::SliceRandom;
 
 use crate::chance::{Purpose, generator};
-use crate::error::SamplesError;
+use crate::error::{SamplesError, SamplesResult};
 use crate::noise::NoiseSource;
 use crate::samples::{Samples, read_finite};
 
@@ -57,7 +57,7 @@ impl Pass<'_> {
         order
     }
 
-    fn read(&self, samples: &[u64]) -> Result<Batch, SamplesError> {
+    fn read(&self, samples: &[u64]) -> SamplesResult<Batch> {
         let channels = self.from.input_len();
         let mut inputs = vec![0.0; samples.len() * channels];
         let mut targets = vec![0.0; samples.len() * self.from.target_len()];
@@ -80,7 +80,7 @@ impl Pass<'_> {
         let (send, receive) = sync_channel(BATCHES_AHEAD);
         std::thread::scope(|scope| {
             // The receiver is dropped with this closure: a reader blocked in a send then ends.
-            let receive: Receiver<Result<Batch, SamplesError>> = receive;
+            let receive: Receiver<SamplesResult<Batch>> = receive;
             scope.spawn(move || {
                 let order = self.order();
                 for samples in order.chunks(self.batch).skip(self.skip as usize) {

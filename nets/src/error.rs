@@ -27,6 +27,9 @@ pub fn require(
     if holds { Ok(()) } else { Err(RecipeError::Value { field, found: found(), limit }) }
 }
 
+/// Result of reading samples.
+pub type SamplesResult<T> = Result<T, SamplesError>;
+
 /// Why samples could not be read.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[allow(missing_docs, reason = "the message names the fields")]

@@ -1,7 +1,7 @@
 //! Sources of samples: a dataset's rows, or simulations made while a net trains.
 //! PURE. Never: the order of samples, memory of them.
 
-use crate::error::SamplesError;
+use crate::error::{SamplesError, SamplesResult};
 
 /// Numbered samples, each an input and a target of fixed lengths. Read by one thread at a time, but
 /// not always by the same one.
@@ -29,12 +29,7 @@ pub trait Samples: Sync {
     ///
     /// # Errors
     /// `SamplesError::Source` if they cannot be read.
-    fn read(
-        &self,
-        samples: &[u64],
-        inputs: &mut [f32],
-        targets: &mut [f32],
-    ) -> Result<(), SamplesError>;
+    fn read(&self, samples: &[u64], inputs: &mut [f32], targets: &mut [f32]) -> SamplesResult<()>;
 }
 
 /// Reads samples and checks that all values are finite.
@@ -43,7 +38,7 @@ pub(crate) fn read_finite(
     samples: &[u64],
     inputs: &mut [f32],
     targets: &mut [f32],
-) -> Result<(), SamplesError> {
+) -> SamplesResult<()> {
     from.read(samples, inputs, targets)?;
     for (side, numbers, len) in
         [("input", &*inputs, from.input_len()), ("target", &*targets, from.target_len())]

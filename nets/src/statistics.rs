@@ -6,7 +6,7 @@ use rand::RngExt;
 use sim_core::stats::{median, norm};
 
 use crate::chance::{Purpose, generator};
-use crate::error::SamplesError;
+use crate::error::{SamplesError, SamplesResult};
 use crate::network::{Layer, NORM_FLOOR_V};
 use crate::noise::NoiseSource;
 use crate::samples::{Samples, read_finite};
@@ -154,7 +154,7 @@ impl Statistics {
         measured: Measured,
         noise: &NoiseSource,
         seed: u64,
-    ) -> Result<Self, SamplesError> {
+    ) -> SamplesResult<Self> {
         let (channels, targets) = (from.input_len(), from.target_len());
         let (components, mut held) = (measured.components(), Vec::new());
         let most = match measured {
@@ -256,7 +256,7 @@ fn whitening(
     mean: &[f64],
     [log_mean, log_sd]: [f64; 2],
     components: usize,
-) -> Result<(Vec<f32>, Vec<f32>), SamplesError> {
+) -> SamplesResult<(Vec<f32>, Vec<f32>)> {
     let channels = mean.len();
     let message = || "the covariance of the frames has no eigenvectors".to_string();
     let decomposed = covariance

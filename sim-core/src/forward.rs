@@ -64,6 +64,9 @@ pub enum ModelError {
     Electrode(#[from] ElectrodeError),
 }
 
+/// Result of work with contacts.
+pub type ContactResult<T> = Result<T, ContactError>;
+
 /// Why the model rejects a contact.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 pub enum ContactError {
@@ -281,7 +284,7 @@ impl ForwardModel {
         &self,
         contacts: &[Contact],
         work: &'w mut Workspace,
-    ) -> Result<&'w [f64], ContactError> {
+    ) -> ContactResult<&'w [f64]> {
         self.load(contacts, work)?;
         Ok(self.solve(work))
     }
@@ -301,7 +304,7 @@ impl ForwardModel {
     /// # Errors
     /// `ContactError::OffSkin` if the tip is not wholly on the skin; `ContactError::Force` if the
     /// force is negative or not finite.
-    pub fn check(&self, contact: usize, c: &Contact) -> Result<(), ContactError> {
+    pub fn check(&self, contact: usize, c: &Contact) -> ContactResult<()> {
         let least_mm = self.sensor.file.tip_diameter_mm / 2.0;
         for (field, value_mm, extent_mm) in [
             ("x_mm", c.x_mm, self.sensor.file.width_mm),
@@ -322,7 +325,7 @@ impl ForwardModel {
     ///
     /// # Errors
     /// `ContactError` with the first contact that [`Self::check`] rejects.
-    pub fn node_forces(&self, contacts: &[Contact]) -> Result<Vec<NodeForce>, ContactError> {
+    pub fn node_forces(&self, contacts: &[Contact]) -> ContactResult<Vec<NodeForce>> {
         let mut shares = Vec::new();
         let mut forces = Vec::new();
         for (index, contact) in contacts.iter().enumerate() {
@@ -337,11 +340,7 @@ impl ForwardModel {
     }
 
     /// Stores the compression of the nominal skin under contacts, before the clamp, in `work`.
-    pub(crate) fn load(
-        &self,
-        contacts: &[Contact],
-        work: &mut Workspace,
-    ) -> Result<(), ContactError> {
+    pub(crate) fn load(&self, contacts: &[Contact], work: &mut Workspace) -> ContactResult<()> {
         work.forces.clear();
         for (index, contact) in contacts.iter().enumerate() {
             self.check(index, contact)?;

@@ -11,7 +11,7 @@
 
 use crate::circuit::ReadoutCircuit;
 use crate::fields::NodeFields;
-use crate::forward::{Contact, ContactError, ForwardModel, Workspace};
+use crate::forward::{Contact, ContactResult, ForwardModel, Workspace};
 use crate::mesh::Mesh;
 use crate::network::adjoint::{Direction, Potentials, Pull};
 use crate::network::kron::KronFactor;
@@ -181,7 +181,7 @@ impl ForwardModel {
         &self,
         contacts: &[Contact],
         work: &'w mut JacobianWork,
-    ) -> Result<&'w [f64], ContactError> {
+    ) -> ContactResult<&'w [f64]> {
         self.linearise(contacts, work)?.contacts();
         Ok(&work.columns)
     }
@@ -194,7 +194,7 @@ impl ForwardModel {
         &'a self,
         contacts: &'a [Contact],
         work: &'a mut JacobianWork,
-    ) -> Result<Linearised<'a>, ContactError> {
+    ) -> ContactResult<Linearised<'a>> {
         self.load(contacts, &mut work.forward)?;
         let forward = &mut work.forward;
         let sums = forward.compression_mm.iter();

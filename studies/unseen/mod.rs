@@ -13,7 +13,7 @@ use crate::factorial::{COARSE_MM, DIAMETERS_MM};
 use crate::figure::Heading;
 use crate::ids::{CalibrationId, ModelId};
 use crate::infer::methods::Method;
-use crate::lab::{DatasetFacts, Lab, Noise, StudyError, Training};
+use crate::lab::{DatasetFacts, Lab, Noise, StudyError, StudyResult, Training};
 use crate::noise::LEVELS;
 use crate::rows::{
     beats, by_contacts, coverage, distances_note, paper_cost, perfects, read_by, reliability,
@@ -265,12 +265,7 @@ fn best(scores: &[Named]) -> Option<&Named> {
 }
 
 /// Shows the scores. `columns`: answers to the drawn trials; `learned`: a sentence on the data of the nets.
-fn sheet(
-    budget: &Budget,
-    scores: &Scores,
-    columns: &[Named],
-    learned: &str,
-) -> Result<Sheet, StudyError> {
+fn sheet(budget: &Budget, scores: &Scores, columns: &[Named], learned: &str) -> StudyResult<Sheet> {
     let Scores { pipeline, end_to_end, regressions, ours, published } = scores;
     let mut groups = vec![("real-to-sim", pipeline), ("end-to-end", end_to_end)];
     groups.extend(regressions.iter().map(|(name, scores)| (*name, scores)));

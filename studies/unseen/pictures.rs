@@ -4,7 +4,7 @@
 use super::{EXAMPLES, Named, Scores, best};
 use crate::dataset::force_map::{ForceMapSpec, TABLE_IV_MAPS};
 use crate::evaluate::charts::{Bar, bars};
-use crate::evaluate::figures::FigureError;
+use crate::evaluate::figures::FigureResult;
 use crate::evaluate::force_maps::{Picture, pictures};
 use crate::evaluate::opening::{Answer, Rank, Role, Row, opening};
 use crate::evaluate::published::REAL_UNSEEN;
@@ -19,7 +19,7 @@ use crate::store::Contact;
 ///
 /// # Errors
 /// `FigureError` if the plotting backend fails.
-pub fn examples(heading: &Heading, columns: &[Named]) -> Result<String, FigureError> {
+pub fn examples(heading: &Heading, columns: &[Named]) -> FigureResult<String> {
     let mut maps = Vec::new();
     for row in 0..EXAMPLES as usize {
         let of_row = columns.iter().filter_map(|(name, report)| {
@@ -49,7 +49,7 @@ pub fn examples(heading: &Heading, columns: &[Named]) -> Result<String, FigureEr
 ///
 /// # Errors
 /// `FigureError` if the plotting backend fails.
-pub fn talk(heading: &Heading, scores: &Scores, columns: &[Named]) -> Result<String, FigureError> {
+pub fn talk(heading: &Heading, scores: &Scores, columns: &[Named]) -> FigureResult<String> {
     let answer = |report: &EvaluationReport, row: usize| {
         let reading = &report.examples.get(row)?.reading;
         let spec = report.map.as_deref().and_then(|map| map.parse().ok());
@@ -114,10 +114,7 @@ fn ranks(scores: &Scores) -> Vec<Rank> {
 ///
 /// # Errors
 /// `FigureError` if the plotting backend fails.
-pub fn errors(
-    heading: &Heading,
-    groups: &[(&str, &Vec<Named>)],
-) -> Result<Vec<OutputFile>, FigureError> {
+pub fn errors(heading: &Heading, groups: &[(&str, &Vec<Named>)]) -> FigureResult<Vec<OutputFile>> {
     type Pick = fn(&Score) -> Option<Mean>;
     let quantities: [(&str, &str, Pick); 3] = [
         ("location", "contact location error (mm)", |score| score.location_mm),

@@ -1,5 +1,5 @@
-//! What the tests of both binaries need: the sensor, a client, a process that ends with its test, a service, the skin,
-//! a wait.
+//! What the tests of both binaries need: the sensor, a client and its requests, a process that ends with its test, a
+//! service, the skin, a wait.
 
 use std::fmt::Debug;
 use std::fs::DirBuilder;
@@ -13,6 +13,7 @@ use palpate::api::ServeOptions;
 use palpate::cli::trust;
 use palpate::conductor::AutoResume;
 use palpate::simulate::model::unit_responses;
+use serde_json::Value;
 use sim_core::sensor::Sensor;
 
 /// Text of the sensor file of 28 electrodes.
@@ -21,6 +22,13 @@ pub const SENSOR: &str = include_str!("../../experiments/sensors/ert-28.toml");
 /// A client without TLS.
 pub fn http() -> reqwest::Client {
     trust::http(trust::tls("http:", None).unwrap()).unwrap()
+}
+
+/// Sends a request: the status, and the body; null for one that is not JSON.
+pub async fn answered(request: reqwest::RequestBuilder) -> (u16, Value) {
+    let answer = request.send().await.unwrap();
+    let status = answer.status().as_u16();
+    (status, answer.json().await.unwrap_or(Value::Null))
 }
 
 /// A process that is killed, at the latest, at the end of its test.

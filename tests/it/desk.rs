@@ -14,7 +14,7 @@ use reqwest::Method;
 use serde_json::{Value, json};
 
 use crate::datasets::filled::{Filled, folder};
-use crate::support::PALPATE;
+use crate::support::{PALPATE, answered};
 
 const QUEUE: &str = "/api/v1/queue";
 const SIMULATIONS: &str = "/api/v1/simulations";
@@ -39,8 +39,7 @@ impl Filled {
             Some(tag) => request.header("if-match", tag),
             None => request,
         };
-        let answer = request.json(body).send().await.unwrap();
-        (answer.status().as_u16(), answer.json().await.unwrap())
+        answered(request.json(body)).await
     }
 
     async fn queue(&self, body: Value) -> Value {

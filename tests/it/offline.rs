@@ -3,9 +3,10 @@
 use palpate::api::{LockFile, Offline};
 use palpate::rig::setup::RigSetup;
 use palpate::store::Role;
-use serde_json::{Value, json};
+use serde_json::json;
 
 use super::datasets::filled::{Filled, folder, rig, store};
+use crate::support::answered;
 
 #[tokio::test]
 async fn a_service_without_a_rig_works_next_to_the_one_that_has_it() {
@@ -59,10 +60,8 @@ async fn keys_and_lock_need_neither_a_service_nor_a_rig() {
     let refused = Offline::open(&data).await.err().unwrap().to_string();
     assert!(refused.contains("in use by process"), "{refused}");
     let note = json!({ "note": "gone\u{1b}[2J" });
-    let answer = lab.http.put(lab.url("/api/v1/lock")).json(&note).send().await.unwrap();
-    assert_eq!(answer.status(), 422);
-    let problem: Value = answer.json().await.unwrap();
+    let (status, problem) = answered(lab.http.put(lab.url("/api/v1/lock")).json(&note)).await;
     let detail = "request: note = 8 characters: must have no control characters";
-    assert_eq!(problem["detail"], detail);
+    assert_eq!((status, &problem["detail"]), (422, &json!(detail)));
     lab.close().await;
 }

@@ -3,14 +3,17 @@
 use std::fmt::Debug;
 use std::io::{BufRead, BufReader};
 use std::ops::Deref;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::{Command, Output, Stdio};
 use std::time::Duration;
 
 use serde_json::Value;
 use sim_core::sensor::Sensor;
+use tempfile::TempDir;
 
-pub use crate::common::{Process, SENSOR, http, serve_options, skin_cache, until, with_responses};
+pub use crate::common::{
+    Process, SENSOR, answered, http, serve_options, skin_cache, until, with_responses,
+};
 
 pub const PALPATE: &str = env!("CARGO_BIN_EXE_palpate");
 
@@ -22,17 +25,13 @@ pub fn sensor() -> Sensor {
     Sensor::from_toml(SENSOR).unwrap()
 }
 
-/// A folder in the system's temporary folder, removed at the end of its test. The name contains the
-/// process id; within this binary `name` must be unique.
-pub struct Folder(PathBuf);
+/// A folder in the system's temporary folder, removed at the end of its test.
+pub struct Folder(TempDir);
 
 impl Folder {
     /// Creates the folder, empty.
     pub fn new(name: &str) -> Self {
-        let folder = std::env::temp_dir().join(format!("palpate-{name}-{}", std::process::id()));
-        std::fs::remove_dir_all(&folder).ok();
-        std::fs::create_dir_all(&folder).unwrap();
-        Self(folder)
+        Self(TempDir::with_prefix(format!("palpate-{name}-")).unwrap())
     }
 
     /// Path of a file in it, as an argument of a command.
@@ -45,13 +44,7 @@ impl Deref for Folder {
     type Target = Path;
 
     fn deref(&self) -> &Path {
-        &self.0
-    }
-}
-
-impl Drop for Folder {
-    fn drop(&mut self) {
-        std::fs::remove_dir_all(&self.0).ok();
+        self.0.path()
     }
 }
 

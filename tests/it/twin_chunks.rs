@@ -16,7 +16,9 @@ use sqlx::sqlite::SqliteConnectOptions;
 use sqlx::{ConnectOptions, Connection};
 
 use crate::datasets::filled::{Filled, end, folder, new_run, points, press, store, twin_model};
-use crate::support::{VIRTUAL_RIG, command, copy_folder, done, finished, not_done, with_responses};
+use crate::support::{
+    VIRTUAL_RIG, answered, command, copy_folder, done, finished, not_done, with_responses,
+};
 
 /// Number of trials of the run, and of a chunk.
 const TRIALS: u32 = 44;
@@ -59,9 +61,7 @@ async fn gather(lab: &Filled, order: &str) -> Output {
 async fn refused(lab: &Filled, run: &str, file: Vec<u8>) -> (u16, String) {
     let form = Form::new().part("file", Part::bytes(file).file_name("chunk"));
     let url = lab.url(&format!("/api/v1/runs/{run}/twins"));
-    let answer = lab.http.post(url).multipart(form).send().await.unwrap();
-    let status = answer.status().as_u16();
-    let body: Value = answer.json().await.unwrap();
+    let (status, body) = answered(lab.http.post(url).multipart(form)).await;
     (status, body["detail"].as_str().unwrap_or_default().to_owned())
 }
 

@@ -10,7 +10,7 @@ use std::time::Duration;
 use reqwest::Method;
 use serde_json::{Value, json};
 
-use crate::support::{Folder, PALPATE, eventually, http, served};
+use crate::support::{Folder, PALPATE, answered, eventually, http, served};
 
 /// Longest wait for anything.
 const LIMIT: Duration = Duration::from_secs(60);
@@ -40,10 +40,8 @@ async fn a_service_submits_cancels_and_gathers_and_its_gather_ends_with_it() {
     serve.env("PALPATE_QUEUE", "postgres://owner:hush@localhost/queue");
     let (mut service, url) = served(&mut serve);
     let client = http();
-    let ask = async |method: Method, path: &str| -> (u16, Value) {
-        let answer = client.request(method, format!("{url}/api/v1/workers{path}")).send().await;
-        let answer = answer.unwrap();
-        (answer.status().as_u16(), answer.json().await.unwrap())
+    let ask = async |method: Method, path: &str| {
+        answered(client.request(method, format!("{url}/api/v1/workers{path}"))).await
     };
 
     let (status, found) = ask(Method::GET, "").await;

@@ -12,7 +12,7 @@ use virtual_rig::run::{RigArgs, VirtualRig};
 use virtual_rig::{OperatorArgs, operator_main};
 
 use crate::common::serve_options;
-pub use crate::common::{Process, SENSOR, http, skin_cache, until, with_responses};
+pub use crate::common::{Process, SENSOR, answered, http, skin_cache, until, with_responses};
 
 /// Longest wait for anything that a test waits for.
 pub const LIMIT: Duration = Duration::from_secs(120);
@@ -140,9 +140,7 @@ impl Lab {
     /// A POST: its status and its body.
     pub async fn post(&self, path: &str, body: Value) -> (u16, Value) {
         let url = format!("{}{path}", self.service.url());
-        let answer = self.http.post(url).json(&body).send().await.unwrap();
-        let status = answer.status().as_u16();
-        (status, answer.json().await.unwrap_or(Value::Null))
+        answered(self.http.post(url).json(&body)).await
     }
 
     /// A POST that must succeed.

@@ -17,7 +17,8 @@ use sqlx::sqlite::{SqliteConnectOptions, SqliteConnection};
 use sqlx::{ConnectOptions, Connection};
 
 use super::bench::{
-    COMPUTES, LIMIT, Process, SENSOR, WHOLE, http, skin_cache, tell_at, turn, until, with_responses,
+    COMPUTES, LIMIT, Process, SENSOR, WHOLE, answered, http, skin_cache, tell_at, turn, until,
+    with_responses,
 };
 
 const SPEED: &str = "20";
@@ -109,12 +110,10 @@ impl Site {
     }
 
     async fn post(&self, path: &str, body: Value) -> Value {
-        let answer =
-            self.http.post(format!("{}{path}", self.url)).json(&body).send().await.unwrap();
-        let status = answer.status();
-        let body = answer.json().await.unwrap_or(Value::Null);
-        assert!(status.is_success(), "{path}: {status} {body}");
-        body
+        let request = self.http.post(format!("{}{path}", self.url)).json(&body);
+        let (status, answer) = answered(request).await;
+        assert!((200..300).contains(&status), "{path}: {status} {answer}");
+        answer
     }
 
     async fn until(&self, path: &str, done: impl Fn(&Value) -> bool) -> Value {

@@ -11,7 +11,7 @@ use sim_core::calibration::{Calibration, Fitted, PiezoCalibration};
 use sim_core::sensor::Sensor;
 use virtual_rig::run::RigArgs;
 
-use super::bench::{Lab, SENSOR, WAITS, file, http, rig_args};
+use super::bench::{Lab, SENSOR, WAITS, answered, file, http, rig_args};
 
 /// Process seconds in a wall second.
 const SPEED: f64 = 10.0;
@@ -71,9 +71,8 @@ fn nominal() -> String {
 /// Lets `exact` serve with the nominal skin, after a request that names its calibration was answered.
 pub async fn serve_exact(lab: &Lab) {
     let url = format!("{}/api/v1/calibrations", lab.service.url());
-    let added = http().post(url).body(nominal()).send().await.unwrap();
-    assert_eq!(added.status(), 201, "{}", added.text().await.unwrap());
-    let id: Value = added.json().await.unwrap();
+    let (status, id) = answered(http().post(url).body(nominal())).await;
+    assert_eq!(status, 201, "{id}");
     let frame = vec![0.0; 784];
     let named = json!({ "method": "exact", "model": id, "frames": [frame] });
     let answers = lab.posted("/api/v1/infer", named).await;

@@ -15,7 +15,7 @@ use tokio::net::TcpStream;
 use tokio::time::{sleep, timeout};
 use tokio_tungstenite::connect_async;
 
-use super::bench::{LIMIT, Lab, WHOLE, http, rig_args};
+use super::bench::{LIMIT, Lab, WHOLE, answered, http, rig_args};
 
 const ESTOP: &str = "/api/v1/estop";
 const RIG: &str = "/api/v1/rig/actions";
@@ -47,8 +47,7 @@ async fn ask(
     if let Some(key) = key {
         request = request.bearer_auth(key);
     }
-    let answer = request.send().await.unwrap();
-    (answer.status().as_u16(), answer.json().await.unwrap_or(Value::Null))
+    answered(request).await
 }
 
 /// A key's text.

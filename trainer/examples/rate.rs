@@ -7,7 +7,7 @@
 use std::time::{Duration, Instant};
 
 use nets::compute::Compute;
-use nets::error::SamplesError;
+use nets::error::SamplesResult;
 use nets::progress::{Flow, Observer, Plan, Progress};
 use nets::recipe::Recipe;
 use nets::samples::Samples;
@@ -39,7 +39,7 @@ impl Samples for Repeated {
     fn target_len(&self) -> usize {
         self.target_len
     }
-    fn read(&self, samples: &[u64], x: &mut [f32], y: &mut [f32]) -> Result<(), SamplesError> {
+    fn read(&self, samples: &[u64], x: &mut [f32], y: &mut [f32]) -> SamplesResult<()> {
         let outs = x.chunks_exact_mut(CHANNELS).zip(y.chunks_exact_mut(self.target_len));
         for (&sample, (x, y)) in samples.iter().zip(outs) {
             let row = sample as usize % ROWS;

@@ -1,7 +1,7 @@
 //! Rows of a dataset as a net's samples: a frame and its target.
 //! Uses: `learn::examples`, `dataset::force_map`, nets' trait. Never: frames or maps in memory.
 
-use nets::error::SamplesError;
+use nets::error::{SamplesError, SamplesResult};
 use nets::samples::Samples;
 use sim_core::forward;
 use sim_core::stats::norm;
@@ -85,12 +85,7 @@ impl Samples for Fixed {
         self.lens[1]
     }
 
-    fn read(
-        &self,
-        samples: &[u64],
-        inputs: &mut [f32],
-        targets: &mut [f32],
-    ) -> Result<(), SamplesError> {
+    fn read(&self, samples: &[u64], inputs: &mut [f32], targets: &mut [f32]) -> SamplesResult<()> {
         for (out, from, len) in
             [(inputs, &self.inputs, self.lens[0]), (targets, &self.targets, self.lens[1])]
         {
@@ -125,7 +120,7 @@ fn failed(row: u32, error: impl std::fmt::Display) -> SamplesError {
 
 impl RowSamples<'_> {
     /// Writes the target of a row into `out`.
-    fn write_target(&self, row: u32, out: &mut [f32]) -> Result<(), SamplesError> {
+    fn write_target(&self, row: u32, out: &mut [f32]) -> SamplesResult<()> {
         let contacts = self.examples.contacts(row);
         match &self.target {
             Target::Frame => {
@@ -164,12 +159,7 @@ impl Samples for RowSamples<'_> {
         }
     }
 
-    fn read(
-        &self,
-        samples: &[u64],
-        inputs: &mut [f32],
-        targets: &mut [f32],
-    ) -> Result<(), SamplesError> {
+    fn read(&self, samples: &[u64], inputs: &mut [f32], targets: &mut [f32]) -> SamplesResult<()> {
         let frames = inputs.chunks_exact_mut(self.examples.channels);
         let frames = frames.zip(targets.chunks_exact_mut(self.target_len()));
         for (&sample, (input, target)) in samples.iter().zip(frames) {

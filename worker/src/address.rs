@@ -17,7 +17,7 @@ use std::str::FromStr;
 use sqlx::postgres::{PgConnectOptions, PgSslMode};
 use url::Url;
 
-use crate::WorkerError;
+use crate::{WorkerError, WorkerResult};
 
 /// Where the store is, with the settings that its client needs.
 #[derive(Clone)]
@@ -43,7 +43,7 @@ pub enum Place {
 ///
 /// # Errors
 /// `WorkerError` if there is none, if its file can be read by others, or if it is invalid or not encrypted.
-pub fn queue() -> Result<PgConnectOptions, WorkerError> {
+pub fn queue() -> WorkerResult<PgConnectOptions> {
     let Some((address, from)) = value("PALPATE_QUEUE", "PALPATE_QUEUE_FILE")? else {
         return Err(invalid(
             "no queue: PALPATE_QUEUE_FILE names a file with its address, or PALPATE_QUEUE has it",
@@ -76,7 +76,7 @@ fn queue_of(address: &str) -> Result<PgConnectOptions, String> {
 ///
 /// # Errors
 /// `WorkerError` if there is none, if its file can be read by others, or if it is invalid or not encrypted.
-pub fn store() -> Result<StoreAddress, WorkerError> {
+pub fn store() -> WorkerResult<StoreAddress> {
     let Some((text, from)) = value("PALPATE_STORE", "PALPATE_STORE_FILE")? else {
         return Err(invalid(
             "no store: PALPATE_STORE names a folder or s3://BUCKET/PREFIX, or PALPATE_STORE_FILE a file",
@@ -130,7 +130,7 @@ pub fn is_loopback(host: &str) -> bool {
 }
 
 /// The value of a variable, or the content of the file that another one names, and which of them it was.
-fn value(variable: &str, file: &str) -> Result<Option<(String, String)>, WorkerError> {
+fn value(variable: &str, file: &str) -> WorkerResult<Option<(String, String)>> {
     let set = |name: &str| std::env::var(name).ok().filter(|value| !value.is_empty());
     match (set(variable), set(file)) {
         (Some(_), Some(_)) => {
@@ -143,7 +143,7 @@ fn value(variable: &str, file: &str) -> Result<Option<(String, String)>, WorkerE
 }
 
 /// Content of a file that only its user can read.
-fn secret(path: &Path) -> Result<String, WorkerError> {
+fn secret(path: &Path) -> WorkerResult<String> {
     let mode = fs::metadata(path).map_err(WorkerError::file(path))?.permissions().mode();
     if mode & 0o077 != 0 {
         let (path, mode) = (path.display(), mode & 0o777);

@@ -3,6 +3,9 @@
 
 use std::path::PathBuf;
 
+/// Result of a command or of a part of it.
+pub type WorkerResult<T> = Result<T, WorkerError>;
+
 /// Why a command failed.
 #[derive(Debug, thiserror::Error)]
 #[allow(missing_docs, reason = "the message names the fields")]

@@ -6,9 +6,9 @@ use std::path::Path;
 use futures::{StreamExt, TryStreamExt, stream};
 use serde::Serialize;
 
-use crate::WorkerError;
 use crate::order::Order;
 use crate::store::{Part, Store};
+use crate::{WorkerError, WorkerResult};
 
 /// Results that are fetched at once.
 const AT_ONCE: usize = 4;
@@ -56,7 +56,7 @@ pub async fn fetch(
     id: &str,
     folder: &Path,
     damaged: Damaged,
-) -> Result<Fetched, WorkerError> {
+) -> WorkerResult<Fetched> {
     let missing = || WorkerError::Invalid(format!("order {id}: not in the store"));
     let (order, text) = store.order(id).await?.ok_or_else(missing)?;
     std::fs::create_dir_all(folder).map_err(WorkerError::file(folder))?;
@@ -97,7 +97,7 @@ async fn one(
     order: &Order,
     index: u64,
     damaged: Damaged,
-) -> Result<ChunkResult, WorkerError> {
+) -> WorkerResult<ChunkResult> {
     let key = order.key(index);
     // A result that this folder has, but that is damaged, is fetched again.
     if let Ok(Some(done)) = here.done(&order.id, &key).await

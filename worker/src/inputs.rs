@@ -8,8 +8,8 @@ use std::sync::Arc;
 use tokio::fs;
 use tokio::sync::Mutex;
 
-use crate::WorkerError;
 use crate::store::{INPUTS, Store};
+use crate::{WorkerError, WorkerResult};
 
 /// The inputs that a worker has, in a folder on the file system of its slots.
 #[derive(Debug, Clone)]
@@ -26,12 +26,7 @@ impl Inputs {
     /// # Errors
     /// `WorkerError::Failed` if the store does not have a file, or has other bytes; `Store` if it does not answer; `File`
     /// if the disk fails.
-    pub async fn link(
-        &self,
-        store: &Store,
-        files: &[String],
-        order: &Path,
-    ) -> Result<(), WorkerError> {
+    pub async fn link(&self, store: &Store, files: &[String], order: &Path) -> WorkerResult<()> {
         let into = order.join(INPUTS);
         for sha256 in files {
             let there = into.join(sha256);

@@ -28,4 +28,4 @@ pub mod store;
 pub mod submit;
 pub mod work;
 
-pub use error::WorkerError;
+pub use error::{WorkerError, WorkerResult};

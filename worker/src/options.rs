@@ -9,13 +9,13 @@ use std::time::Duration;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use serde::Serialize;
 
-use crate::WorkerError;
 use crate::child;
 use crate::needs::{Needs, memory_mib};
 use crate::order::is_hash;
 use crate::queue::Queue;
 use crate::store::Store;
 use crate::work::{CONNECTIONS, Work};
+use crate::{WorkerError, WorkerResult};
 use crate::{address, fetch, setup, status, submit, work};
 
 /// Environment of all commands, as the help shows it.
@@ -153,7 +153,7 @@ impl Options {
     ///
     /// # Errors
     /// `WorkerError` of the command.
-    pub async fn run(self) -> Result<ExitCode, WorkerError> {
+    pub async fn run(self) -> WorkerResult<ExitCode> {
         let queue = || address::queue().map(|options| Queue::new(options, CONNECTIONS));
         let store = || address::store().and_then(Store::open);
         let json = self.json;
@@ -271,7 +271,7 @@ impl Options {
 }
 
 /// The order of a folder, or the one whose id begins with these digits.
-async fn resolve(store: &Store, start: &str) -> Result<String, WorkerError> {
+async fn resolve(store: &Store, start: &str) -> WorkerResult<String> {
     const DIGITS_MIN: usize = 8;
     if is_hash(start) {
         return Ok(start.to_owned());
@@ -295,7 +295,7 @@ async fn resolve(store: &Store, start: &str) -> Result<String, WorkerError> {
 }
 
 /// Prints a result, as JSON or as text.
-fn print(json: bool, value: &impl Serialize, text: &str) -> Result<(), WorkerError> {
+fn print(json: bool, value: &impl Serialize, text: &str) -> WorkerResult<()> {
     let line = if json {
         serde_json::to_string(value).map_err(|error| WorkerError::Failed(error.to_string()))?
     } else {

@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value, json};
 use sha2::{Digest, Sha256};
 
-use crate::WorkerError;
+use crate::{WorkerError, WorkerResult};
 
 /// Version of the form of `order.json`.
 pub const ORDER_VERSION: u32 = 1;
@@ -69,7 +69,7 @@ impl Order {
     ///
     /// # Errors
     /// `WorkerError::Invalid` if it is no order, of another version, too large, or if its id differs.
-    pub fn parse(text: &[u8], from: &str) -> Result<Self, WorkerError> {
+    pub fn parse(text: &[u8], from: &str) -> WorkerResult<Self> {
         let invalid = |what: String| WorkerError::Invalid(format!("{from}: {what}"));
         let order: Self =
             serde_json::from_slice(text).map_err(|error| invalid(error.to_string()))?;

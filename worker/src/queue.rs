@@ -24,8 +24,8 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use sqlx::postgres::{PgConnectOptions, PgPool, PgPoolOptions};
 
-use crate::WorkerError;
 use crate::needs::Needs;
+use crate::{WorkerError, WorkerResult};
 
 /// Schema of the queue's tables.
 pub const SCHEMA: &str = "palpate_queue";
@@ -105,7 +105,7 @@ impl Queue {
         &self,
         limit: Duration,
         query: impl Future<Output = Result<T, E>>,
-    ) -> Result<T, WorkerError> {
+    ) -> WorkerResult<T> {
         let error = match tokio::time::timeout(limit, query).await {
             Ok(Ok(answer)) => return Ok(answer),
             Ok(Err(error)) => error.into(),
@@ -127,7 +127,7 @@ impl Queue {
     ///
     /// # Errors
     /// `WorkerError` if the queue does not answer, or the role may not.
-    pub async fn migrate(&self) -> Result<(), WorkerError> {
+    pub async fn migrate(&self) -> WorkerResult<()> {
         let utils = self.utils();
         let migrated =
             async { utils.migrate().await.map_err(|error| QueryError::lost(error.to_string())) };
@@ -138,7 +138,7 @@ impl Queue {
     ///
     /// # Errors
     /// `WorkerError` if the queue does not answer, or refuses.
-    pub async fn apply(&self, statements: &'static str) -> Result<(), WorkerError> {
+    pub async fn apply(&self, statements: &'static str) -> WorkerResult<()> {
         let pool = self.pool();
         self.answer(ANSWER, async { sqlx::raw_sql(statements).execute(&pool).await.map(drop) })
             .await
@@ -148,7 +148,7 @@ impl Queue {
     ///
     /// # Errors
     /// `WorkerError::NotSetUp` if the queue has no tables, `Queue` if it does not answer.
-    pub async fn orders(&self, without: &[String]) -> Result<TaskDetails, WorkerError> {
+    pub async fn orders(&self, without: &[String]) -> WorkerResult<TaskDetails> {
         let pool = self.pool();
         let query = sqlx::query_as(
             "SELECT id, identifier FROM palpate_queue._private_tasks WHERE identifier <> ALL($1)",
@@ -171,7 +171,7 @@ impl Queue {
         orders: &TaskDetails,
         worker: &str,
         allowed: &[String],
-    ) -> Result<Option<Job>, WorkerError> {
+    ) -> WorkerResult<Option<Job>> {
         let database = Database::from(self.pool());
         let filter = JobFlagFilter::new(&[], &[]).with_allowlist(allowed);
         self.answer(ANSWER, get_job_with_filter(&database, orders, SCHEMA, worker, filter, None))
@@ -183,7 +183,7 @@ impl Queue {
     ///
     /// # Errors
     /// `WorkerError` if the queue does not answer.
-    pub async fn has_work(&self, allowed: &[String]) -> Result<bool, WorkerError> {
+    pub async fn has_work(&self, allowed: &[String]) -> WorkerResult<bool> {
         let pool = self.pool();
         let query = sqlx::query_scalar(
             "SELECT EXISTS (SELECT FROM palpate_queue._private_jobs \
@@ -197,7 +197,7 @@ impl Queue {
     ///
     /// # Errors
     /// `WorkerError` if the queue does not answer.
-    pub async fn complete(&self, job: &Job, worker: &str) -> Result<(), WorkerError> {
+    pub async fn complete(&self, job: &Job, worker: &str) -> WorkerResult<()> {
         let database = Database::from(self.pool());
         self.answer(ANSWER, complete_job(&database, job, worker, SCHEMA)).await
     }
@@ -206,7 +206,7 @@ impl Queue {
     ///
     /// # Errors
     /// `WorkerError` if the queue does not answer.
-    pub async fn fail(&self, job: &Job, worker: &str, error: &str) -> Result<(), WorkerError> {
+    pub async fn fail(&self, job: &Job, worker: &str, error: &str) -> WorkerResult<()> {
         let database = Database::from(self.pool());
         self.answer(ANSWER, fail_job(&database, job, SCHEMA, worker, error, None)).await
     }
@@ -222,7 +222,7 @@ impl Queue {
         worker: &str,
         chunk: &ChunkRef,
         error: &str,
-    ) -> Result<(), WorkerError> {
+    ) -> WorkerResult<()> {
         let payload =
             serde_json::to_string(chunk).map_err(|error| WorkerError::Queue(error.to_string()))?;
         let pool = self.pool();
@@ -241,7 +241,7 @@ impl Queue {
     ///
     /// # Errors
     /// `WorkerError` if the queue does not answer.
-    pub async fn set_aside(&self, order: &str, error: &str) -> Result<(), WorkerError> {
+    pub async fn set_aside(&self, order: &str, error: &str) -> WorkerResult<()> {
         let pool = self.pool();
         let query = sqlx::query(
             "UPDATE palpate_queue._private_jobs \
@@ -256,7 +256,7 @@ impl Queue {
     ///
     /// # Errors
     /// `WorkerError` if the queue does not answer.
-    pub async fn heartbeat(&self, worker: &str, about: &Value) -> Result<(), WorkerError> {
+    pub async fn heartbeat(&self, worker: &str, about: &Value) -> WorkerResult<()> {
         let database = Database::from(self.pool());
         self.answer(ANSWER, worker_heartbeat(&database, SCHEMA, worker, Some(about.clone()))).await
     }
@@ -271,7 +271,7 @@ impl Queue {
         worker: &str,
         held: &[i64],
         since: Duration,
-    ) -> Result<usize, WorkerError> {
+    ) -> WorkerResult<usize> {
         let pool = self.pool();
         let query = sqlx::query_scalar(
             "SELECT id FROM palpate_queue._private_jobs WHERE locked_by = $1 AND id <> ALL($2) \
@@ -286,7 +286,7 @@ impl Queue {
     }
 
     /// Returns chunks that a worker has taken. Their attempts do not count.
-    async fn return_jobs(&self, jobs: &[i64], worker: &str) -> Result<(), WorkerError> {
+    async fn return_jobs(&self, jobs: &[i64], worker: &str) -> WorkerResult<()> {
         let pool = self.pool();
         let query = sqlx::query("SELECT palpate_queue._private_return_jobs($1, $2)");
         self.answer(ANSWER, query.bind(worker).bind(jobs).execute(&pool)).await.map(drop)
@@ -296,7 +296,7 @@ impl Queue {
     ///
     /// # Errors
     /// `WorkerError` if the queue does not answer.
-    pub async fn leave(&self, worker: &str) -> Result<(), WorkerError> {
+    pub async fn leave(&self, worker: &str) -> WorkerResult<()> {
         let database = Database::from(self.pool());
         self.answer(ANSWER, worker_deregister(&database, SCHEMA, worker)).await
     }
@@ -305,11 +305,7 @@ impl Queue {
     ///
     /// # Errors
     /// `WorkerError` if the queue does not answer.
-    pub async fn sweep(
-        &self,
-        lease: Duration,
-        hooks: Arc<HookRegistry>,
-    ) -> Result<i32, WorkerError> {
+    pub async fn sweep(&self, lease: Duration, hooks: Arc<HookRegistry>) -> WorkerResult<i32> {
         let utils = self.utils().with_hooks(hooks);
         let config = WorkerRecoveryConfig::default().sweep_threshold(lease);
         let options = SweepStaleWorkersOptions::default();
@@ -323,7 +319,7 @@ impl Queue {
     ///
     /// # Errors
     /// `WorkerError` if the queue does not answer.
-    pub async fn workers(&self, lease: Duration) -> Result<Vec<ActiveWorkerRow>, WorkerError> {
+    pub async fn workers(&self, lease: Duration) -> WorkerResult<Vec<ActiveWorkerRow>> {
         self.answer(ANSWER, self.utils().list_active_workers(lease)).await
     }
 
@@ -331,7 +327,7 @@ impl Queue {
     ///
     /// # Errors
     /// `WorkerError` if the queue does not answer any more.
-    pub async fn listen(&self, added: impl Fn()) -> Result<(), WorkerError> {
+    pub async fn listen(&self, added: impl Fn()) -> WorkerResult<()> {
         let database = Database::from(self.pool());
         let listener = self.answer(ANSWER, database.listen("jobs:insert")).await?;
         let Some(mut listener) = listener else { return Ok(()) };
@@ -352,7 +348,7 @@ impl Queue {
         priority: i16,
         attempts: i16,
         needs: Needs,
-    ) -> Result<(), WorkerError> {
+    ) -> WorkerResult<()> {
         for batch in chunks.chunks(BATCH) {
             let jobs: Result<Vec<_>, _> =
                 batch.iter().map(|chunk| spec(chunk, priority, attempts, needs)).collect();
@@ -366,7 +362,7 @@ impl Queue {
     ///
     /// # Errors
     /// `WorkerError` if the queue does not answer.
-    pub async fn present(&self, order: &str) -> Result<Vec<u64>, WorkerError> {
+    pub async fn present(&self, order: &str) -> WorkerResult<Vec<u64>> {
         let pool = self.pool();
         let query = sqlx::query_scalar(
             "SELECT (payload->>'index')::bigint FROM palpate_queue._private_jobs \
@@ -380,7 +376,7 @@ impl Queue {
     ///
     /// # Errors
     /// `WorkerError` if the queue does not answer.
-    pub async fn forget_failed(&self, order: &str) -> Result<u64, WorkerError> {
+    pub async fn forget_failed(&self, order: &str) -> WorkerResult<u64> {
         let pool = self.pool();
         let query = sqlx::query(
             "DELETE FROM palpate_queue._private_jobs \
@@ -393,7 +389,7 @@ impl Queue {
     ///
     /// # Errors
     /// `WorkerError` if the queue does not answer.
-    pub async fn cancel(&self, order: &str) -> Result<u64, WorkerError> {
+    pub async fn cancel(&self, order: &str) -> WorkerResult<u64> {
         let pool = self.pool();
         let query =
             sqlx::query("DELETE FROM palpate_queue._private_jobs WHERE key LIKE $1 || '/%'");
@@ -404,7 +400,7 @@ impl Queue {
     ///
     /// # Errors
     /// `WorkerError` if the queue does not answer, or others add chunks for longer than a second.
-    pub async fn forget_orders(&self) -> Result<(), WorkerError> {
+    pub async fn forget_orders(&self) -> WorkerResult<()> {
         self.answer(ANSWER, self.utils().cleanup(&[CleanupTask::GcTaskIdentifiers])).await
     }
 
@@ -412,7 +408,7 @@ impl Queue {
     ///
     /// # Errors
     /// `WorkerError` if the queue does not answer.
-    pub async fn backlogs(&self) -> Result<Vec<Backlog>, WorkerError> {
+    pub async fn backlogs(&self) -> WorkerResult<Vec<Backlog>> {
         let pool = self.pool();
         let query = sqlx::query_as(
             "SELECT split_part(key, '/', 1), \

@@ -4,7 +4,7 @@
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 
-use crate::WorkerError;
+use crate::{WorkerError, WorkerResult};
 
 /// Prefix of the folder of one worker.
 const PREFIX: &str = "palpate-worker-";
@@ -23,7 +23,7 @@ impl Scratch {
     ///
     /// # Errors
     /// `WorkerError::File` if the folder cannot be made.
-    pub fn create(parent: &Path) -> Result<Self, WorkerError> {
+    pub fn create(parent: &Path) -> WorkerResult<Self> {
         fs::create_dir_all(parent).map_err(WorkerError::file(parent))?;
         sweep(parent);
         let failed = || WorkerError::file(parent);

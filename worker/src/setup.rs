@@ -1,7 +1,7 @@
 //! Makes the tables of the queue, and the role of workers, whose rights are in `setup.sql`.
 //! Uses: `queue`. Never: a password: logins of workers are made by the administrator.
 
-use crate::WorkerError;
+use crate::WorkerResult;
 use crate::queue::Queue;
 
 /// Rights of the role `palpate_worker`.
@@ -11,7 +11,7 @@ pub const RIGHTS: &str = include_str!("setup.sql");
 ///
 /// # Errors
 /// `WorkerError` if the queue does not answer, or if the role may not make a schema and a role.
-pub async fn setup(queue: &Queue) -> Result<(), WorkerError> {
+pub async fn setup(queue: &Queue) -> WorkerResult<()> {
     queue.migrate().await?;
     queue.apply(RIGHTS).await
 }

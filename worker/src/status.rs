@@ -7,10 +7,10 @@ use std::time::{Duration, SystemTime};
 use serde::Serialize;
 use serde_json::Value;
 
-use crate::WorkerError;
 use crate::order::Failed;
 use crate::queue::{Backlog, Queue};
 use crate::store::{Part, Store};
+use crate::{WorkerError, WorkerResult};
 
 /// Time over which the rate is counted.
 const RATE_OVER: Duration = Duration::from_secs(600);
@@ -75,7 +75,7 @@ pub async fn status(
     store: &Store,
     order: Option<&str>,
     lease: Duration,
-) -> Result<Status, WorkerError> {
+) -> WorkerResult<Status> {
     let backlogs = queue.backlogs().await?;
     let workers = queue.workers(lease).await?.into_iter().map(|row| WorkerStatus {
         heard_s: SystemTime::now()
@@ -105,7 +105,7 @@ pub async fn status(
     Ok(status)
 }
 
-async fn one(store: &Store, backlog: Backlog) -> Result<Option<OrderStatus>, WorkerError> {
+async fn one(store: &Store, backlog: Backlog) -> WorkerResult<Option<OrderStatus>> {
     let Some((order, _)) = store.order(&backlog.order).await? else { return Ok(None) };
     let written = store.keys(&order.id, Part::Results).await?;
     let done = written.len() as u64;

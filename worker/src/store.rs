@@ -29,9 +29,9 @@ use tokio::fs;
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use url::Url;
 
-use crate::WorkerError;
 use crate::address::{Place, StoreAddress, is_loopback};
 use crate::order::{Done, Failed, ORDER_FILE, Order, is_hash, sha256};
+use crate::{WorkerError, WorkerResult};
 
 /// Folder of the files that orders name, in a store and in the folder of an order.
 pub const INPUTS: &str = "inputs";
@@ -76,7 +76,7 @@ impl Store {
     /// # Errors
     /// `WorkerError` if the folder is missing, if the settings are incomplete, or if requests to another
     /// machine would not be encrypted.
-    pub fn open(address: StoreAddress) -> Result<Self, WorkerError> {
+    pub fn open(address: StoreAddress) -> WorkerResult<Self> {
         let objects: Arc<dyn ObjectStore> = match &address.place {
             Place::Folder(folder) => Arc::new(local(folder)?),
             Place::Bucket(url) => bucket(url, &address)?,
@@ -89,7 +89,7 @@ impl Store {
     ///
     /// # Errors
     /// `WorkerError::File` if there is no such folder.
-    pub fn order_folder(folder: &Path) -> Result<Self, WorkerError> {
+    pub fn order_folder(folder: &Path) -> WorkerResult<Self> {
         Ok(Self { objects: Arc::new(local(folder)?), is_folder: true, is_one_order: true })
     }
 
@@ -109,7 +109,7 @@ impl Store {
     ///
     /// # Errors
     /// `WorkerError` if the store does not answer, or the order is not the named one.
-    pub async fn order(&self, id: &str) -> Result<Option<(Order, Bytes)>, WorkerError> {
+    pub async fn order(&self, id: &str) -> WorkerResult<Option<(Order, Bytes)>> {
         let path = self.path(id, ORDER_FILE);
         let Some(text) = self.get(&path).await? else { return Ok(None) };
         let order = Order::parse(&text, path.as_ref())?;
@@ -123,7 +123,7 @@ impl Store {
     ///
     /// # Errors
     /// `WorkerError::Store` if the store does not take it.
-    pub async fn put_order(&self, id: &str, text: Bytes) -> Result<(), WorkerError> {
+    pub async fn put_order(&self, id: &str, text: Bytes) -> WorkerResult<()> {
         self.put(&self.path(id, ORDER_FILE), text).await
     }
 
@@ -131,7 +131,7 @@ impl Store {
     ///
     /// # Errors
     /// `WorkerError::Store` if the store does not answer.
-    pub async fn orders(&self) -> Result<Vec<String>, WorkerError> {
+    pub async fn orders(&self) -> WorkerResult<Vec<String>> {
         let listed = self.objects.list_with_delimiter(None).await?;
         let names =
             listed.common_prefixes.iter().filter_map(|path| path.filename().map(str::to_owned));
@@ -146,7 +146,7 @@ impl Store {
         &self,
         order: &str,
         part: Part,
-    ) -> Result<BTreeMap<String, SystemTime>, WorkerError> {
+    ) -> WorkerResult<BTreeMap<String, SystemTime>> {
         let folder = self.path(order, part.folder());
         let found = self.objects.list(Some(&folder)).try_filter_map(|object| async move {
             let key = object.location.filename().and_then(|name| name.strip_suffix(".json"));
@@ -163,7 +163,7 @@ impl Store {
     ///
     /// # Errors
     /// `WorkerError::Store` if the store does not answer.
-    pub async fn is_done(&self, order: &str, key: &str) -> Result<bool, WorkerError> {
+    pub async fn is_done(&self, order: &str, key: &str) -> WorkerResult<bool> {
         self.has(&self.part(order, Part::Results, &format!("{key}.json"))).await
     }
 
@@ -172,7 +172,7 @@ impl Store {
     /// # Errors
     /// `WorkerError::File` if the file cannot be read, `Invalid` if it is another one, `Store` if the store does not
     /// take it.
-    pub async fn put_input(&self, sha256: &str, from: &Path) -> Result<(), WorkerError> {
+    pub async fn put_input(&self, sha256: &str, from: &Path) -> WorkerResult<()> {
         let path = input(sha256);
         if self.has(&path).await? {
             return Ok(());
@@ -199,7 +199,7 @@ impl Store {
     /// # Errors
     /// `WorkerError::Failed` if the store does not have it, or has other bytes; `Store` if it does not answer; `File` if
     /// the file cannot be written.
-    pub async fn fetch_input(&self, sha256: &str, to: &Path) -> Result<(), WorkerError> {
+    pub async fn fetch_input(&self, sha256: &str, to: &Path) -> WorkerResult<()> {
         let path = input(sha256);
         let bytes = match self.objects.head(&path).await {
             Err(Error::NotFound { .. }) => {
@@ -230,7 +230,7 @@ impl Store {
     ///
     /// # Errors
     /// `WorkerError` if the store does not answer, or if it is damaged.
-    pub async fn done(&self, order: &str, key: &str) -> Result<Option<Done>, WorkerError> {
+    pub async fn done(&self, order: &str, key: &str) -> WorkerResult<Option<Done>> {
         self.json(&self.part(order, Part::Results, &format!("{key}.json"))).await
     }
 
@@ -238,7 +238,7 @@ impl Store {
     ///
     /// # Errors
     /// `WorkerError` if the store does not answer, or if it is damaged.
-    pub async fn failed(&self, order: &str, key: &str) -> Result<Option<Failed>, WorkerError> {
+    pub async fn failed(&self, order: &str, key: &str) -> WorkerResult<Option<Failed>> {
         self.json(&self.part(order, Part::Failed, &format!("{key}.json"))).await
     }
 
@@ -246,7 +246,7 @@ impl Store {
     ///
     /// # Errors
     /// `WorkerError::Failed` if they are not those that `done` names, `Store` if the store does not answer.
-    pub async fn bytes(&self, order: &Order, done: &Done) -> Result<Option<Bytes>, WorkerError> {
+    pub async fn bytes(&self, order: &Order, done: &Done) -> WorkerResult<Option<Bytes>> {
         let path = self.part(&order.id, Part::Results, &order.bytes_name(&done.key));
         let Some(bytes) = self.get(&path).await? else { return Ok(None) };
         check(&bytes, done).map_err(|what| WorkerError::Failed(format!("{path}: {what}")))?;
@@ -257,12 +257,7 @@ impl Store {
     ///
     /// # Errors
     /// `WorkerError::Store` if the store does not take it; the chunk is then not done.
-    pub async fn put_result(
-        &self,
-        order: &Order,
-        done: &Done,
-        bytes: Bytes,
-    ) -> Result<(), WorkerError> {
+    pub async fn put_result(&self, order: &Order, done: &Done, bytes: Bytes) -> WorkerResult<()> {
         let part = |name: &str| self.part(&order.id, Part::Results, name);
         self.put(&part(&order.bytes_name(&done.key)), bytes).await?;
         self.put_json(&part(&format!("{}.json", done.key)), done).await
@@ -272,7 +267,7 @@ impl Store {
     ///
     /// # Errors
     /// `WorkerError::Store` if the store does not take it.
-    pub async fn put_failed(&self, order: &str, failed: &Failed) -> Result<(), WorkerError> {
+    pub async fn put_failed(&self, order: &str, failed: &Failed) -> WorkerResult<()> {
         self.put_json(&self.part(order, Part::Failed, &format!("{}.json", failed.key)), failed)
             .await
     }
@@ -281,14 +276,14 @@ impl Store {
     ///
     /// # Errors
     /// `WorkerError::Store` if the store refuses.
-    pub async fn remove(&self, order: &str, part: Part, key: &str) -> Result<(), WorkerError> {
+    pub async fn remove(&self, order: &str, part: Part, key: &str) -> WorkerResult<()> {
         match self.objects.delete(&self.part(order, part, &format!("{key}.json"))).await {
             Ok(()) | Err(Error::NotFound { .. }) => Ok(()),
             Err(error) => Err(error.into()),
         }
     }
 
-    async fn has(&self, path: &ObjectPath) -> Result<bool, WorkerError> {
+    async fn has(&self, path: &ObjectPath) -> WorkerResult<bool> {
         match self.objects.head(path).await {
             Ok(_) => Ok(true),
             Err(Error::NotFound { .. }) => Ok(false),
@@ -296,7 +291,7 @@ impl Store {
         }
     }
 
-    async fn get(&self, path: &ObjectPath) -> Result<Option<Bytes>, WorkerError> {
+    async fn get(&self, path: &ObjectPath) -> WorkerResult<Option<Bytes>> {
         match self.objects.get(path).await {
             Ok(found) => Ok(Some(found.bytes().await?)),
             Err(Error::NotFound { .. }) => Ok(None),
@@ -304,13 +299,13 @@ impl Store {
         }
     }
 
-    async fn json<T: DeserializeOwned>(&self, path: &ObjectPath) -> Result<Option<T>, WorkerError> {
+    async fn json<T: DeserializeOwned>(&self, path: &ObjectPath) -> WorkerResult<Option<T>> {
         let Some(text) = self.get(path).await? else { return Ok(None) };
         let damaged = |error: serde_json::Error| WorkerError::Failed(format!("{path}: {error}"));
         serde_json::from_slice(&text).map(Some).map_err(damaged)
     }
 
-    async fn put(&self, path: &ObjectPath, bytes: Bytes) -> Result<(), WorkerError> {
+    async fn put(&self, path: &ObjectPath, bytes: Bytes) -> WorkerResult<()> {
         if !self.is_folder {
             self.objects.put(path, PutPayload::from(bytes)).await?;
             return Ok(());
@@ -324,11 +319,7 @@ impl Store {
         Ok(())
     }
 
-    async fn put_json(
-        &self,
-        path: &ObjectPath,
-        value: &impl serde::Serialize,
-    ) -> Result<(), WorkerError> {
+    async fn put_json(&self, path: &ObjectPath, value: &impl serde::Serialize) -> WorkerResult<()> {
         let text =
             serde_json::to_vec(value).map_err(|error| WorkerError::Store(error.to_string()))?;
         self.put(path, text.into()).await
@@ -345,7 +336,7 @@ async fn pour(
     file: &mut fs::File,
     upload: &mut WriteMultipart,
     from: &Path,
-) -> Result<String, WorkerError> {
+) -> WorkerResult<String> {
     let (mut piece, mut hash) = (vec![0; UPLOAD.0], Sha256::new());
     loop {
         let count = file.read(&mut piece).await.map_err(WorkerError::file(from))?;
@@ -381,7 +372,7 @@ pub fn check(bytes: &[u8], done: &Done) -> Result<(), String> {
     Ok(())
 }
 
-fn local(folder: &Path) -> Result<LocalFileSystem, WorkerError> {
+fn local(folder: &Path) -> WorkerResult<LocalFileSystem> {
     // A folder that is missing may be a share that is not mounted.
     let missing = |error: &dyn Display| {
         WorkerError::Invalid(format!("{}: {error}: make the folder first", folder.display()))
@@ -393,7 +384,7 @@ fn local(folder: &Path) -> Result<LocalFileSystem, WorkerError> {
     Ok(store.with_fsync(true))
 }
 
-fn bucket(url: &Url, address: &StoreAddress) -> Result<Arc<dyn ObjectStore>, WorkerError> {
+fn bucket(url: &Url, address: &StoreAddress) -> WorkerResult<Arc<dyn ObjectStore>> {
     let invalid = |what: String| WorkerError::Invalid(format!("store {url}: {what}"));
     let mut client = ClientOptions::new().with_timeout(REQUEST);
     if let Some(pem) = &address.authority {

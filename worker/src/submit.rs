@@ -6,11 +6,11 @@ use std::path::Path;
 
 use serde::Serialize;
 
-use crate::WorkerError;
 use crate::needs::Needs;
 use crate::order::ORDER_FILE;
 use crate::queue::{ChunkRef, Queue};
 use crate::store::{INPUTS, Part, Store};
+use crate::{WorkerError, WorkerResult};
 
 /// What a submission added to the queue, and what was there.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
@@ -41,7 +41,7 @@ pub async fn submit(
     priority: i16,
     attempts: i16,
     needs: Needs,
-) -> Result<Submitted, WorkerError> {
+) -> WorkerResult<Submitted> {
     let missing = || {
         WorkerError::Invalid(format!(
             "{}: no {ORDER_FILE}: write it with `palpate cluster sbatch`",

@@ -24,7 +24,6 @@ use tokio::sync::{Notify, watch};
 use tokio::task::JoinSet;
 use tokio::time::{sleep, timeout};
 
-use crate::WorkerError;
 use crate::child::{MakeError, Maker, clipped};
 use crate::chunk::{Bench, Outcome};
 use crate::inputs::Inputs;
@@ -34,6 +33,7 @@ use crate::pause::{LeftOrders, Pause};
 use crate::queue::{ANSWER, ChunkRef, Queue};
 use crate::scratch::Scratch;
 use crate::store::{INPUTS, Store};
+use crate::{WorkerError, WorkerResult};
 
 /// Connections of a worker without those of its slots: heartbeat, sweep, listener.
 pub const CONNECTIONS: u32 = 3;
@@ -89,7 +89,7 @@ struct Shared {
 ///
 /// # Errors
 /// `WorkerError` if the queue is not set up, refuses the role, or if the folder cannot be made.
-pub async fn work(queue: Queue, store: Store, work: Work) -> Result<(), WorkerError> {
+pub async fn work(queue: Queue, store: Store, work: Work) -> WorkerResult<()> {
     let scratch = Scratch::create(&work.scratch)?;
     let host = host();
     let id = format!("{host}/{}/{}", std::process::id(), scratch.name());
@@ -170,7 +170,7 @@ pub async fn work(queue: Queue, store: Store, work: Work) -> Result<(), WorkerEr
 }
 
 /// Takes and makes chunks until the worker ends.
-async fn run_slot(shared: Arc<Shared>, mut bench: Bench) -> Result<(), WorkerError> {
+async fn run_slot(shared: Arc<Shared>, mut bench: Bench) -> WorkerResult<()> {
     let mut ending = shared.ending.clone();
     let mut pause = Pause::default();
     let mut connected = false;
@@ -291,7 +291,7 @@ async fn set_aside(store: &Store, chunk: &ChunkRef, key: String, attempts: i16, 
 async fn acknowledge<F, Answer>(request: F)
 where
     F: Fn() -> Answer,
-    Answer: Future<Output = Result<(), WorkerError>>,
+    Answer: Future<Output = WorkerResult<()>>,
 {
     let mut pause = Pause::default();
     let repeated = async {

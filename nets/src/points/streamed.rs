@@ -10,7 +10,7 @@ use sim_core::forward::Contact;
 use sim_core::sensor::Point;
 
 use super::draws::Draws;
-use crate::error::SamplesError;
+use crate::error::{SamplesError, SamplesResult};
 use crate::samples::Samples;
 
 /// A stream of simulated samples: the frame, and the force at each point.
@@ -54,12 +54,7 @@ impl Samples for Streamed {
         true
     }
 
-    fn read(
-        &self,
-        samples: &[u64],
-        inputs: &mut [f32],
-        targets: &mut [f32],
-    ) -> Result<(), SamplesError> {
+    fn read(&self, samples: &[u64], inputs: &mut [f32], targets: &mut [f32]) -> SamplesResult<()> {
         targets.fill(0.0);
         let mut trials = Vec::with_capacity(samples.len());
         for (&number, target) in samples.iter().zip(targets.chunks_exact_mut(self.points.len())) {

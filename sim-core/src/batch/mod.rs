@@ -14,7 +14,7 @@ pub use kernel::Kernel;
 use foam::{BLOCK_NODES, Foam};
 use loads::PointRows;
 
-use crate::forward::{Contact, ContactError, ForwardModel, Workspace};
+use crate::forward::{Contact, ContactError, ContactResult, ForwardModel, Workspace};
 use crate::network::lane::{Lane32, LaneJob};
 use crate::network::lane_work::LaneWork;
 use crate::network::plan::ReductionPlan;
@@ -233,7 +233,7 @@ fn superpose<L: Lane32>(
     contacts: &[Contact],
     load: &mut TrialLoad,
     one: &mut Workspace,
-) -> Result<(), ContactError> {
+) -> ContactResult<()> {
     let blocks = batch.foam.nodes() / BLOCK_NODES;
     let TrialLoad { compression_mm, touched } = load;
     compression_mm.clear();

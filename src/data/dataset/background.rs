@@ -4,7 +4,7 @@
 use tokio::sync::oneshot;
 use tracing::Span;
 
-use super::error::DatasetError;
+use super::error::{DatasetError, DatasetResult};
 use crate::priority;
 
 /// Runs `work` on a new thread with low priority, in the present span, and returns its result.
@@ -13,7 +13,7 @@ use crate::priority;
 /// `DatasetError::Worker` if the thread does not start, or if `work` panics.
 pub async fn background<T: Send + 'static>(
     work: impl FnOnce() -> T + Send + 'static,
-) -> Result<T, DatasetError> {
+) -> DatasetResult<T> {
     let (done, finished) = oneshot::channel();
     let span = Span::current();
     let thread = std::thread::Builder::new().name("background".into()).spawn(move || {

@@ -14,7 +14,7 @@ use super::background::background;
 use super::batch::Row;
 use super::definition::Definition;
 use super::encoder::Encoder;
-use super::error::DatasetError;
+use super::error::DatasetResult;
 use super::schema::{self, BATCH_ROWS};
 use super::split::Part;
 use crate::ids::{RunUid, TrialId};
@@ -29,7 +29,7 @@ pub struct Begun {
 }
 
 impl Begun {
-    fn new(folder: &Path, scan_id: i64, trials: &[TrialRow]) -> Result<Self, DatasetError> {
+    fn new(folder: &Path, scan_id: i64, trials: &[TrialRow]) -> DatasetResult<Self> {
         let definition = Definition::of_run(scan_id);
         let frame = trials.iter().find_map(|trial| trial.voltages_v.as_ref().map(Vec::len));
         let channels = frame.map_or(schema::PAPER_CHANNELS, |channels| channels as i32);
@@ -65,7 +65,7 @@ impl Begun {
         folder: &Path,
         run: RunUid,
         scan_id: i64,
-    ) -> Result<(), DatasetError> {
+    ) -> DatasetResult<()> {
         let last = begun
             .as_ref()
             .filter(|begun| begun.scan_id == scan_id)
@@ -98,7 +98,7 @@ impl Begun {
         };
         // The definition has no deadband and no split: the labels are the stored ones.
         let rows: Vec<Row> = trials.into_iter().map(|trial| Row { trial, part: None }).collect();
-        let writing = move || -> Result<Self, DatasetError> {
+        let writing = move || -> DatasetResult<Self> {
             own.encoder.push_trials(&rows)?;
             own.written.extend(next);
             Ok(own)

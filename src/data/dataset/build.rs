@@ -26,7 +26,7 @@ use super::begun::Begun;
 use super::card;
 use super::definition::{Definition, SplitBy};
 use super::encoder::{Encoder, Tally};
-use super::error::DatasetError;
+use super::error::{DatasetError, DatasetResult};
 use super::inputs::Inputs;
 use super::schema::{self, BATCH_ROWS};
 use super::shards::ShardFolder;
@@ -74,7 +74,7 @@ pub async fn build(
     begun: Option<Begun>,
     at: Timestamp,
     progress: Arc<Progress>,
-) -> Result<DatasetRow, DatasetError> {
+) -> DatasetResult<DatasetRow> {
     let channels = inputs.channels(store).await?;
     let definition = &inputs.definition;
     let columns = schema::of_dataset(definition, channels);
@@ -148,10 +148,7 @@ pub async fn build(
 }
 
 /// The first pass. Returns the selected trials, and the number of trials by scan id.
-async fn survey(
-    store: &Store,
-    inputs: &Inputs,
-) -> Result<(Surveyed, BTreeMap<i64, u64>), DatasetError> {
+async fn survey(store: &Store, inputs: &Inputs) -> DatasetResult<(Surveyed, BTreeMap<i64, u64>)> {
     let mut survey = Survey::new(&inputs.definition, schema::scalars(), inputs.model());
     let mut rows = BTreeMap::new();
     for (run, _) in &inputs.runs {
@@ -172,10 +169,7 @@ async fn survey(
 
 /// Splits the trials of each folder of shards of the dataset's model. Folders of other models are
 /// excluded and counted in the report; an excluded folder that the definition names is an error.
-fn divide_shards(
-    inputs: &Inputs,
-    surveyed: &mut Surveyed,
-) -> Result<Vec<SplitShards>, DatasetError> {
+fn divide_shards(inputs: &Inputs, surveyed: &mut Surveyed) -> DatasetResult<Vec<SplitShards>> {
     let split = &inputs.definition.split;
     let mut divided = Vec::new();
     let first = inputs.folders.first().map(|f| f.manifest.definition.model.as_str());
@@ -220,7 +214,7 @@ async fn read_pages(
     inputs: &Inputs,
     kept: &[(TrialId, Option<Part>)],
     pages: mpsc::Sender<Vec<Row>>,
-) -> Result<(), DatasetError> {
+) -> DatasetResult<()> {
     let by_scan_id: BTreeMap<i64, &RunRow> =
         inputs.runs.iter().map(|(run, _)| (run.scan_id, run)).collect();
     let chunks: Vec<Vec<_>> = kept.chunks(BATCH_ROWS).map(<[_]>::to_vec).collect();
@@ -256,7 +250,7 @@ fn encode(
     mut pages: mpsc::Receiver<Vec<Row>>,
     shards: Vec<SplitShards>,
     progress: &Progress,
-) -> Result<Encoder, DatasetError> {
+) -> DatasetResult<Encoder> {
     let show = |encoder: &Encoder| progress.done.store(encoder.tally().rows, Ordering::Relaxed);
     while let Some(page) = pages.blocking_recv() {
         encoder.push_trials(&page)?;
@@ -282,7 +276,7 @@ async fn lineage(
     inputs: &Inputs,
     rows_of_run: &BTreeMap<i64, u64>,
     shards: &[SplitShards],
-) -> Result<Value, DatasetError> {
+) -> DatasetResult<Value> {
     let runs: Vec<Value> = inputs
         .runs
         .iter()
@@ -332,7 +326,7 @@ fn footer(
     inputs: &Inputs,
     shards: &[SplitShards],
     lineage: &Value,
-) -> Result<HashMap<String, String>, DatasetError> {
+) -> DatasetResult<HashMap<String, String>> {
     let definition = serde_json::to_string(definition).map_err(DatasetError::Json)?;
     let mut footer = HashMap::from([
         ("palpate.definition".to_owned(), definition),
@@ -370,7 +364,7 @@ fn report(
 }
 
 /// Writes the card next to the file.
-fn write_card(folder: &Path, row: &DatasetRow) -> Result<(), DatasetError> {
+fn write_card(folder: &Path, row: &DatasetRow) -> DatasetResult<()> {
     let name = format!("{}.md", row.id);
     let failed = DatasetError::file("writing", &folder.join(&name));
     new_file::write(folder, &name, card::text(row)).map(|_| ()).map_err(failed)

@@ -12,7 +12,7 @@ use arrow_schema::SchemaRef;
 
 use super::batch::{self, Row};
 use super::definition::Definition;
-use super::error::DatasetError;
+use super::error::{DatasetError, DatasetResult};
 use super::format::ParquetWriter;
 use super::split::Part;
 use crate::digest::{Hashing, ID_DIGITS};
@@ -51,7 +51,7 @@ impl Encoder {
         folder: &Path,
         definition: &Definition,
         columns: &SchemaRef,
-    ) -> Result<Self, DatasetError> {
+    ) -> DatasetResult<Self> {
         let file =
             NewFile::create(folder).map_err(DatasetError::file("creating a file in", folder))?;
         let mut hash = Hashing::default();
@@ -76,7 +76,7 @@ impl Encoder {
     }
 
     /// Appends trials as a row group.
-    pub(super) fn push_trials(&mut self, rows: &[Row]) -> Result<(), DatasetError> {
+    pub(super) fn push_trials(&mut self, rows: &[Row]) -> DatasetResult<()> {
         self.push(&batch::of_trials(&self.columns, rows)?)?;
         rows.iter().for_each(|row| self.tally.count(row.part, row.trial.contact_count));
         Ok(())
@@ -87,7 +87,7 @@ impl Encoder {
         &mut self,
         rows: &RecordBatch,
         parts: &[Option<Part>],
-    ) -> Result<(), DatasetError> {
+    ) -> DatasetResult<()> {
         let batch = batch::of_shard(&self.columns, rows, parts)?;
         self.push(&batch)?;
         let counts = batch.column_by_name("contact_count");
@@ -98,13 +98,13 @@ impl Encoder {
         Ok(())
     }
 
-    fn push(&mut self, batch: &RecordBatch) -> Result<(), DatasetError> {
+    fn push(&mut self, batch: &RecordBatch) -> DatasetResult<()> {
         self.rows.write(batch)?;
         Ok(self.parquet.push(batch)?)
     }
 
     /// Ends the rows. Returns `ds-` and the start of a sha256 over definition, columns and rows.
-    pub(super) fn id(&mut self) -> Result<DatasetId, DatasetError> {
+    pub(super) fn id(&mut self) -> DatasetResult<DatasetId> {
         self.rows.finish()?;
         let digits = self.rows.get_ref().clone().finish();
         Ok(DatasetId::unchecked(format!("ds-{}", &digits[..ID_DIGITS])))
@@ -115,7 +115,7 @@ impl Encoder {
         mut self,
         id: &DatasetId,
         metadata: HashMap<String, String>,
-    ) -> Result<Finished, DatasetError> {
+    ) -> DatasetResult<Finished> {
         self.parquet.describe(metadata);
         let file = self.parquet.finish()?;
         let name = format!("{id}.parquet");

@@ -14,6 +14,9 @@ use crate::ids::DatasetId;
 use crate::problem::{Problem, listed};
 use crate::store::StoreError;
 
+/// Result of work on datasets, exports and imports.
+pub type DatasetResult<T> = Result<T, DatasetError>;
+
 /// Why a dataset, an export or an import failed.
 #[derive(Debug, thiserror::Error)]
 #[allow(missing_docs, reason = "the message names the fields")]

@@ -12,7 +12,7 @@ use utoipa::ToSchema;
 use utoipa::openapi::schema::{Object, ObjectBuilder, Type};
 
 use super::build::Progress;
-use super::error::DatasetError;
+use super::error::{DatasetError, DatasetResult};
 use super::format::{self, Format, Rows};
 use super::read::DatasetRows;
 use super::select::Wanted;
@@ -75,11 +75,7 @@ impl ExportRequest {
 ///
 /// # Errors
 /// `DatasetError::Json` if the request cannot be written as JSON.
-pub fn file_name(
-    dataset: &DatasetId,
-    format: Format,
-    wanted: &Wanted,
-) -> Result<String, DatasetError> {
+pub fn file_name(dataset: &DatasetId, format: Format, wanted: &Wanted) -> DatasetResult<String> {
     let text = serde_json::to_string(&(EXPORTS_VERSION, dataset, format.name(), wanted));
     let digest = sha256_hex(text.map_err(DatasetError::Json)?);
     Ok(format!("{}.{}", &digest[..NAME_DIGITS], format.extension()))
@@ -124,7 +120,7 @@ pub fn write(
     folder: &Path,
     name: &str,
     progress: &Progress,
-) -> Result<Finished, DatasetError> {
+) -> DatasetResult<Finished> {
     progress.done.store(0, Ordering::Relaxed);
     progress.total.store(rows.count(), Ordering::Relaxed);
     let file = NewFile::create(folder).map_err(DatasetError::file("creating a file in", folder))?;

@@ -6,7 +6,7 @@ use std::path::Path;
 use serde_json::json;
 
 use super::definition::{Definition, SplitBy, Task};
-use super::error::DatasetError;
+use super::error::{DatasetError, DatasetResult};
 use super::schema;
 use super::shards::{self, ShardFolder};
 use crate::digest::sha256_hex;
@@ -37,11 +37,7 @@ impl Inputs {
     /// `DatasetError::Problems` if the definition is invalid, `NoRun` if it names an unknown run,
     /// `Labels` if the runs have different labels, `Shards` if a folder cannot be read, `Store` if
     /// the store fails.
-    pub async fn find(
-        store: &Store,
-        data: &Path,
-        definition: &Definition,
-    ) -> Result<Self, DatasetError> {
+    pub async fn find(store: &Store, data: &Path, definition: &Definition) -> DatasetResult<Self> {
         definition.check(&definition.name).map_err(DatasetError::Problems)?;
         let mut runs = Vec::new();
         for run in select_runs(store, definition).await? {
@@ -79,7 +75,7 @@ impl Inputs {
     /// # Errors
     /// `DatasetError::Channels` if runs have frames of different lengths, `Store` if the store
     /// fails.
-    pub async fn channels(&self, store: &Store) -> Result<i32, DatasetError> {
+    pub async fn channels(&self, store: &Store) -> DatasetResult<i32> {
         let mut found: Option<(usize, String)> = None;
         for (run, extent) in &self.runs {
             if extent.trials == 0 {
@@ -107,7 +103,7 @@ impl Inputs {
     }
 }
 
-async fn select_runs(store: &Store, definition: &Definition) -> Result<Vec<RunRow>, DatasetError> {
+async fn select_runs(store: &Store, definition: &Definition) -> DatasetResult<Vec<RunRow>> {
     let all = store.all_runs().await?;
     let labelled = |run: &RunRow| definition.label.is_none_or(|label| run.label == label);
     if definition.runs.is_empty() {
@@ -132,10 +128,7 @@ fn names(run: &RunRow, wanted: &str) -> bool {
 }
 
 /// Checks that each test run is one of the selected runs, and that another one remains.
-fn check_test_runs(
-    definition: &Definition,
-    runs: &[(RunRow, RunExtent)],
-) -> Result<(), DatasetError> {
+fn check_test_runs(definition: &Definition, runs: &[(RunRow, RunExtent)]) -> DatasetResult<()> {
     let wrong = |value: &str, limit: String| {
         let problem = Problem::new(&definition.name, "split.test_runs", value, limit);
         Err(DatasetError::Problems(vec![problem]))
@@ -158,7 +151,7 @@ fn check_test_runs(
 }
 
 /// Checks that the runs with trials have one label; labels are only combined on request.
-fn check_labels(definition: &Definition, runs: &[(RunRow, RunExtent)]) -> Result<(), DatasetError> {
+fn check_labels(definition: &Definition, runs: &[(RunRow, RunExtent)]) -> DatasetResult<()> {
     if definition.task == Task::S2sRecon {
         return Ok(());
     }

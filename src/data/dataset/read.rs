@@ -15,7 +15,7 @@ use parquet::arrow::arrow_reader::{
     RowFilter, RowSelection, RowSelectionPolicy,
 };
 
-use super::error::DatasetError;
+use super::error::{DatasetError, DatasetResult};
 use super::filter::all;
 use super::format::{Batches, Rows, RowsError, rows_per_batch};
 use super::schema::{self, BATCH_ROWS};
@@ -43,7 +43,7 @@ impl DatasetRows {
     ///
     /// # Errors
     /// As [`DatasetPages::open`].
-    pub fn open(path: &Path, wanted: &Wanted) -> Result<Self, DatasetError> {
+    pub fn open(path: &Path, wanted: &Wanted) -> DatasetResult<Self> {
         let pages = DatasetPages::open(path, wanted)?;
         let count = pages.count()?;
         Ok(Self { pages, count })
@@ -61,7 +61,7 @@ impl DatasetPages {
     /// # Errors
     /// `DatasetError::Problems` if the request does not fit the columns, `File` or `Parquet` if the
     /// file cannot be read.
-    pub fn open(path: &Path, wanted: &Wanted) -> Result<Self, DatasetError> {
+    pub fn open(path: &Path, wanted: &Wanted) -> DatasetResult<Self> {
         let file = File::open(path).map_err(DatasetError::file("opening", path))?;
         let metadata = ArrowReaderMetadata::load(&file, ArrowReaderOptions::new())?;
         let selection = Selection::new(wanted, metadata.schema(), Some(skin(&metadata)))
@@ -85,7 +85,7 @@ impl DatasetPages {
     }
 
     /// Number of selected rows.
-    fn count(&self) -> Result<u64, DatasetError> {
+    fn count(&self) -> DatasetResult<u64> {
         let filters = self.selection.filters();
         if filters.is_empty() {
             return Ok(self.file_rows());
@@ -102,11 +102,7 @@ impl DatasetPages {
     ///
     /// # Errors
     /// `DatasetError::File`, `Parquet` or `Arrow` if the rows cannot be read.
-    pub fn page(
-        &self,
-        from: u64,
-        limit: usize,
-    ) -> Result<(Vec<RecordBatch>, Option<u64>), DatasetError> {
+    pub fn page(&self, from: u64, limit: usize) -> DatasetResult<(Vec<RecordBatch>, Option<u64>)> {
         let filters = self.selection.filters();
         let (mut rows, mut at) = (Vec::new(), from);
         if filters.is_empty() {
@@ -140,7 +136,7 @@ impl DatasetPages {
         sort: &Sort,
         from: u64,
         limit: usize,
-    ) -> Result<(Vec<RecordBatch>, Option<u64>), DatasetError> {
+    ) -> DatasetResult<(Vec<RecordBatch>, Option<u64>)> {
         let key = sort
             .find(self.metadata.schema())
             .map_err(|limit| DatasetError::value("sort", &sort.column, &limit))?;
@@ -169,7 +165,7 @@ impl DatasetPages {
     }
 
     /// Reads the given rows of the file, in the given order.
-    fn rows_in_order(&self, order: &[u64]) -> Result<RecordBatch, DatasetError> {
+    fn rows_in_order(&self, order: &[u64]) -> DatasetResult<RecordBatch> {
         let mut rows = order.to_vec();
         rows.sort_unstable();
         let found = concat_batches(self.selection.schema(), &self.rows_at(&rows)?)?;
@@ -178,7 +174,7 @@ impl DatasetPages {
     }
 
     /// Reads the given rows of the file, in its order. Only the row groups that hold one are opened.
-    fn rows_at(&self, rows: &[u64]) -> Result<Vec<RecordBatch>, DatasetError> {
+    fn rows_at(&self, rows: &[u64]) -> DatasetResult<Vec<RecordBatch>> {
         let (mut groups, mut ranges) = (Vec::new(), Vec::new());
         let (mut rest, mut first, mut opened) = (rows, 0, 0);
         for (at, group) in self.metadata.metadata().row_groups().iter().enumerate() {
@@ -204,7 +200,7 @@ impl DatasetPages {
         &self,
         columns: &[usize],
         batch_rows: usize,
-    ) -> Result<ParquetRecordBatchReaderBuilder<File>, DatasetError> {
+    ) -> DatasetResult<ParquetRecordBatchReaderBuilder<File>> {
         let file = File::open(&self.path).map_err(DatasetError::file("opening", &self.path))?;
         let builder =
             ParquetRecordBatchReaderBuilder::new_with_metadata(file, self.metadata.clone());
@@ -220,7 +216,7 @@ impl DatasetPages {
         &self,
         columns: &[usize],
         from: u64,
-    ) -> Result<parquet::arrow::arrow_reader::ParquetRecordBatchReader, DatasetError> {
+    ) -> DatasetResult<parquet::arrow::arrow_reader::ParquetRecordBatchReader> {
         let mut skipped = 0;
         let groups = self.metadata.metadata().row_groups();
         let first = groups
@@ -244,7 +240,7 @@ impl DatasetPages {
 ///
 /// # Errors
 /// `DatasetError::File` or `Parquet` if the file cannot be read.
-pub fn sensor_text(path: &Path) -> Result<String, DatasetError> {
+pub fn sensor_text(path: &Path) -> DatasetResult<String> {
     let file = File::open(path).map_err(DatasetError::file("opening", path))?;
     let metadata = ArrowReaderMetadata::load(&file, ArrowReaderOptions::new())?;
     Ok(sensor(&metadata).unwrap_or_default().to_owned())

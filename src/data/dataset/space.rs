@@ -3,7 +3,7 @@
 
 use arrow_schema::{DataType, Schema};
 
-use super::error::{DatasetError, Product};
+use super::error::{DatasetError, DatasetResult, Product};
 use super::format::Format;
 use crate::record::{TRIAL_BYTES, VOLTAGES_BYTES};
 
@@ -32,7 +32,7 @@ impl Space {
     ///
     /// # Errors
     /// `DatasetError::DiskFull` if it does not.
-    pub fn check(self, product: Product) -> Result<(), DatasetError> {
+    pub fn check(self, product: Product) -> DatasetResult<()> {
         let (Self { needed, free }, kept) = (self, KEPT_FREE_BYTES);
         if needed.checked_add(kept).is_some_and(|all| all <= free) {
             return Ok(());

@@ -11,7 +11,7 @@ use parquet::arrow::ProjectionMask;
 use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
 
 use crate::dataset::background::background;
-use crate::dataset::error::{DatasetError, Product};
+use crate::dataset::error::{DatasetError, DatasetResult, Product};
 use crate::dataset::format::{Format, Stream};
 use crate::dataset::space::Space;
 use crate::new_file::NewFile;
@@ -32,7 +32,7 @@ pub fn known(folder: &Path, dataset: &Path) -> Option<PathBuf> {
 /// # Errors
 /// `DatasetError` if the dataset's file cannot be read, or this one not be written without the space that is reserved
 /// for runs.
-pub async fn of_dataset(folder: &Path, dataset: &Path, free: u64) -> Result<PathBuf, DatasetError> {
+pub async fn of_dataset(folder: &Path, dataset: &Path, free: u64) -> DatasetResult<PathBuf> {
     if let Some(narrow) = known(folder, dataset) {
         return Ok(narrow);
     }
@@ -46,7 +46,7 @@ pub async fn of_dataset(folder: &Path, dataset: &Path, free: u64) -> Result<Path
     Ok(narrow)
 }
 
-fn write(folder: &Path, name: &str, dataset: &Path) -> Result<(), DatasetError> {
+fn write(folder: &Path, name: &str, dataset: &Path) -> DatasetResult<()> {
     let file = File::open(dataset).map_err(DatasetError::file("opening", dataset))?;
     let builder = ParquetRecordBatchReaderBuilder::try_new(file)?;
     let is_frame = |name: &str| Column::find(name).is_some_and(Column::is_frame);

@@ -10,7 +10,7 @@ use std::time::{Duration, SystemTime};
 
 use crate::dataset::background::background;
 use crate::dataset::batch::{self, Row};
-use crate::dataset::error::{DatasetError, Product};
+use crate::dataset::error::{DatasetError, DatasetResult, Product};
 use crate::dataset::format::{Format, Stream};
 use crate::dataset::schema::{self, BATCH_ROWS};
 use crate::dataset::space::{Space, row_bytes};
@@ -36,11 +36,7 @@ const PIECE_DIGITS: usize = 16;
 ///
 /// # Errors
 /// `DatasetError` if the store cannot be read, or a file not be written without the space that is reserved for runs.
-pub async fn of_run(
-    store: &Store,
-    folder: &Path,
-    run: &RunRow,
-) -> Result<Vec<PathBuf>, DatasetError> {
+pub async fn of_run(store: &Store, folder: &Path, run: &RunRow) -> DatasetResult<Vec<PathBuf>> {
     let trials = store.newest_twins(run.uid, TrialId(0), u32::MAX).await?;
     let mut files = Vec::new();
     for piece in cut(&trials) {
@@ -74,7 +70,7 @@ fn cut<T>(list: &[T]) -> impl Iterator<Item = &[T]> {
 ///
 /// # Errors
 /// `DatasetError` if it cannot be written.
-pub fn empty(folder: &Path) -> Result<PathBuf, DatasetError> {
+pub fn empty(folder: &Path) -> DatasetResult<PathBuf> {
     const EMPTY_PIECE: &str = "no-trials.parquet";
     // Without rows it needs no room.
     write(folder, EMPTY_PIECE, Vec::new(), u64::MAX)?;
@@ -82,7 +78,7 @@ pub fn empty(folder: &Path) -> Result<PathBuf, DatasetError> {
 }
 
 /// Writes a piece. `free` is the free space of the disk, bytes.
-fn write(folder: &Path, name: &str, trials: Vec<TrialRow>, free: u64) -> Result<(), DatasetError> {
+fn write(folder: &Path, name: &str, trials: Vec<TrialRow>, free: u64) -> DatasetResult<()> {
     let frame = trials.iter().find_map(|trial| trial.voltages_v.as_ref().map(Vec::len));
     let table = schema::stored(frame.map_or(schema::PAPER_CHANNELS, |channels| channels as i32));
     let needed = trials.len() as u64 * row_bytes(&table, Format::Parquet);

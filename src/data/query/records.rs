@@ -9,7 +9,7 @@ use arrow_json::ReaderBuilder;
 use arrow_schema::{DataType, Field, Schema, SchemaRef, TimeUnit};
 use serde_json::{Value, json};
 
-use crate::dataset::error::DatasetError;
+use crate::dataset::error::{DatasetError, DatasetResult};
 use crate::dataset::format::{Format, Stream, zone};
 use crate::new_file::NewFile;
 use crate::store::{RunRow, Store};
@@ -40,7 +40,7 @@ struct Records {
 
 impl Records {
     /// Begins a file in `folder` with these columns.
-    fn new(folder: &Path, fields: &[(&str, DataType)]) -> Result<Self, DatasetError> {
+    fn new(folder: &Path, fields: &[(&str, DataType)]) -> DatasetResult<Self> {
         let fields = fields.iter().map(|(name, kind)| Field::new(*name, kind.clone(), true));
         let schema: SchemaRef = Arc::new(Schema::new(fields.collect::<Vec<_>>()));
         let failed = DatasetError::file("writing a table in", folder);
@@ -53,7 +53,7 @@ impl Records {
     }
 
     /// Writes further rows.
-    fn push(&mut self, rows: &[Value]) -> Result<(), DatasetError> {
+    fn push(&mut self, rows: &[Value]) -> DatasetResult<()> {
         let mut decoder = ReaderBuilder::new(self.schema.clone()).build_decoder()?;
         for rows in rows.chunks(DECODER_ROWS) {
             decoder.serialize(rows)?;
@@ -64,7 +64,7 @@ impl Records {
         Ok(())
     }
 
-    fn finish(self) -> Result<Scratch, DatasetError> {
+    fn finish(self) -> DatasetResult<Scratch> {
         let failed = DatasetError::file("writing a table in", &self.folder);
         self.stream.finish()?.finish_unsynced(&self.name).map_err(failed)?;
         Ok(Scratch(self.folder.join(self.name)))
@@ -79,7 +79,7 @@ fn time() -> DataType {
 ///
 /// # Errors
 /// `DatasetError` if it cannot be written.
-pub fn runs(folder: &Path, runs: &[RunRow]) -> Result<Scratch, DatasetError> {
+pub fn runs(folder: &Path, runs: &[RunRow]) -> DatasetResult<Scratch> {
     type Cell = fn(&RunRow) -> Value;
     let columns: [(&str, DataType, Cell); 18] = [
         ("scan_id", DataType::Int64, |run| json!(run.scan_id)),
@@ -114,11 +114,7 @@ pub fn runs(folder: &Path, runs: &[RunRow]) -> Result<Scratch, DatasetError> {
 ///
 /// # Errors
 /// `DatasetError` if the events cannot be read, or the file not be written.
-pub async fn events(
-    store: &Store,
-    folder: &Path,
-    runs: &[RunRow],
-) -> Result<Scratch, DatasetError> {
+pub async fn events(store: &Store, folder: &Path, runs: &[RunRow]) -> DatasetResult<Scratch> {
     let columns = [
         ("seq", DataType::Int64),
         ("scan_id", DataType::Int64),
@@ -147,11 +143,7 @@ pub async fn events(
 ///
 /// # Errors
 /// `DatasetError` if they cannot be read, or the file not be written.
-pub async fn references(
-    store: &Store,
-    folder: &Path,
-    runs: &[RunRow],
-) -> Result<Scratch, DatasetError> {
+pub async fn references(store: &Store, folder: &Path, runs: &[RunRow]) -> DatasetResult<Scratch> {
     let columns = [
         ("scan_id", DataType::Int64),
         ("before_configuration", DataType::Int64),

@@ -11,7 +11,7 @@ use super::error::QueryError;
 use super::records::{self, Scratch};
 use super::{narrow, pieces};
 use crate::dataset::catalog::Catalog;
-use crate::dataset::error::DatasetError;
+use crate::dataset::error::{DatasetError, DatasetResult};
 use crate::ids::RunUid;
 use crate::near::did_you_mean;
 use crate::new_file::sweep;
@@ -129,7 +129,7 @@ impl Tables {
     }
 
     /// The files with all stored trials.
-    async fn trials(&self, runs: &[RunRow]) -> Result<Vec<PathBuf>, DatasetError> {
+    async fn trials(&self, runs: &[RunRow]) -> DatasetResult<Vec<PathBuf>> {
         pieces::trim(&self.folder);
         let mut files = Vec::new();
         for run in runs {
@@ -169,7 +169,7 @@ impl Tables {
 
     /// The file of a run's dataset, if it holds the trials and twins that are stored now. Counting them
     /// takes 10 ms for 33,000 trials, so that the count is kept.
-    async fn current_of_run(&self, run: &RunRow) -> Result<Option<PathBuf>, DatasetError> {
+    async fn current_of_run(&self, run: &RunRow) -> DatasetResult<Option<PathBuf>> {
         let (changes, ended_at) = (self.store.changes_of(run.scan_id), run.ended_at);
         let known = self.current.lock().get(&run.uid).cloned();
         if let Some(known) = known

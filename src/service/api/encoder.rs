@@ -13,7 +13,7 @@ use axum::response::Response;
 use futures::stream::{Stream, StreamExt, iter, unfold};
 
 use super::send::{Piece, in_format};
-use crate::dataset::error::DatasetError;
+use crate::dataset::error::DatasetResult;
 use crate::dataset::format::{self, Format, rows_within};
 use crate::journal::error_chain;
 
@@ -34,7 +34,7 @@ impl RowEncoder {
     ///
     /// # Errors
     /// `DatasetError::Format` if the format cannot hold a column.
-    pub fn new(format: Format, schema: &SchemaRef) -> Result<Self, DatasetError> {
+    pub fn new(format: Format, schema: &SchemaRef) -> DatasetResult<Self> {
         let piece = Piece::default();
         let stream = format::Stream::new(format, schema, piece.clone())?;
         let is_text = format.is_text();
@@ -46,7 +46,7 @@ impl RowEncoder {
     ///
     /// # Errors
     /// `DatasetError::Format` if it cannot be encoded.
-    pub fn begin(&mut self, batch: RecordBatch) -> Result<Option<RecordBatch>, DatasetError> {
+    pub fn begin(&mut self, batch: RecordBatch) -> DatasetResult<Option<RecordBatch>> {
         let (first, rest) = split(batch, self.piece_rows);
         self.push(&first)?;
         Ok(rest)
@@ -56,7 +56,7 @@ impl RowEncoder {
     ///
     /// # Errors
     /// `DatasetError::Format` if it cannot be encoded.
-    pub fn push(&mut self, batch: &RecordBatch) -> Result<(), DatasetError> {
+    pub fn push(&mut self, batch: &RecordBatch) -> DatasetResult<()> {
         Ok(self.stream.push(batch)?)
     }
 
@@ -69,7 +69,7 @@ impl RowEncoder {
     ///
     /// # Errors
     /// `DatasetError::Format` if the end cannot be encoded.
-    pub fn finish(self) -> Result<Vec<u8>, DatasetError> {
+    pub fn finish(self) -> DatasetResult<Vec<u8>> {
         Ok(self.stream.finish()?.take())
     }
 

@@ -15,7 +15,7 @@ use super::live::LiveFrames;
 use super::problem::{ApiError, ApiResult, Params};
 use super::socket::{LiveClient, is_sent};
 use crate::clock::Clock;
-use crate::infer::error::InferError;
+use crate::infer::error::InferResult;
 use crate::infer::maps::ForceMaps;
 use crate::infer::methods::Method;
 use crate::infer::methods::exact::Tracked;
@@ -99,7 +99,7 @@ fn passed_s((device_time_us, received): (u64, Instant), frame: &Frame) -> f64 {
 pub(super) async fn follow<T: Serialize + Send + 'static>(
     app: App,
     mut socket: WebSocket,
-    mut answer: impl FnMut(&Pipeline, &Frame) -> Result<T, InferError> + Send + 'static,
+    mut answer: impl FnMut(&Pipeline, &Frame) -> InferResult<T> + Send + 'static,
 ) {
     let mut frames = LiveFrames::of(&app);
     while let Some(frame) = frames.next(&mut socket).await {

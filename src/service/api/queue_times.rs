@@ -12,7 +12,7 @@ use super::limits::ROOM_MAX;
 use super::pages::Page;
 use super::problem::ApiResult;
 use super::refusals::DESK;
-use crate::conductor::ConductorError;
+use crate::conductor::{ConductorError, ConductorResult};
 use crate::ids::RunUid;
 use crate::journal::error_chain;
 use crate::schedule::preflight::Preflight;
@@ -122,7 +122,7 @@ impl Planned {
 }
 
 /// Plans a waiting run; that its files are refused is an answer, too, and is kept.
-async fn plan(app: &App, row: &RunRow) -> Result<Arc<Planned>, ConductorError> {
+async fn plan(app: &App, row: &RunRow) -> ConductorResult<Arc<Planned>> {
     match app.conductor.preflight_of(row).await {
         Ok(preflight) => Ok(Arc::new(Planned::of(&preflight))),
         Err(error @ ConductorError::Problems { .. }) => Ok(Arc::new(Planned::refused(&error))),

@@ -21,7 +21,7 @@ use super::limits::PAGE_NUMBERS_MAX;
 use super::problem::{ApiError, ApiResult};
 use super::ranges::{self, Selected};
 use super::tags::lists;
-use crate::dataset::error::DatasetError;
+use crate::dataset::error::{DatasetError, DatasetResult};
 use crate::dataset::export::ExportFile;
 use crate::dataset::format::{Format, Stream};
 use crate::dataset::used;
@@ -196,7 +196,7 @@ pub fn encoded(
     format: Format,
     schema: &SchemaRef,
     batches: &[RecordBatch],
-) -> Result<Vec<u8>, DatasetError> {
+) -> DatasetResult<Vec<u8>> {
     let mut stream = Stream::new(format, schema, Vec::new())?;
     for batch in batches {
         stream.push(batch)?;
@@ -208,7 +208,7 @@ pub fn encoded(
 ///
 /// # Errors
 /// `DatasetError::Json` if a line is not valid JSON.
-pub fn values(lines: &[u8]) -> Result<Vec<Box<RawValue>>, DatasetError> {
+pub fn values(lines: &[u8]) -> DatasetResult<Vec<Box<RawValue>>> {
     let lines = lines.split(|&byte| byte == b'\n').filter(|line| !line.is_empty());
     lines.map(serde_json::from_slice).collect::<Result<_, _>>().map_err(DatasetError::Json)
 }

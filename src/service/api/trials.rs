@@ -23,7 +23,7 @@ use super::query::{GroupsOf, GroupsRequest, TrialsRequest, for_pages, groups_que
 use super::runs::find;
 use super::{App, accept, send, sql};
 use crate::dataset::batch::{self, Row};
-use crate::dataset::error::DatasetError;
+use crate::dataset::error::{DatasetError, DatasetResult};
 use crate::dataset::format::Format;
 use crate::dataset::schema;
 use crate::dataset::select::{Selection, Wanted};
@@ -245,7 +245,7 @@ async fn table(
         let store = store.clone();
         async move { read(&store, &chunk, with_voltages).await }
     });
-    let encodable = move |trials: StoreResult<Vec<TrialRow>>| -> Result<_, DatasetError> {
+    let encodable = move |trials: StoreResult<Vec<TrialRow>>| -> DatasetResult<_> {
         let rows: Vec<Row> = trials?.into_iter().map(|trial| Row { trial, part: None }).collect();
         Ok(selection.apply(&batch::of_trials(&table, &rows)?, None)?)
     };

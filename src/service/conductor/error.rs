@@ -6,6 +6,9 @@ use crate::journal::JournalError;
 use crate::problem::{Problem, listed};
 use crate::store::StoreError;
 
+/// Result of a request to the conductor.
+pub type ConductorResult<T> = Result<T, ConductorError>;
+
 /// Why a request was refused or failed.
 #[derive(Debug, thiserror::Error)]
 #[allow(missing_docs, reason = "the message names the fields")]

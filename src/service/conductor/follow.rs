@@ -8,7 +8,7 @@ use jiff::Timestamp;
 use serde_json::json;
 use tokio::time::Instant;
 
-use super::{Conductor, ConductorError, startable, turn};
+use super::{Conductor, ConductorError, ConductorResult, startable, turn};
 use crate::campaign::shown::command::Refusal;
 use crate::campaign::shown::run_action;
 use crate::campaign::spans::run_span;
@@ -76,7 +76,7 @@ impl Conductor {
 
     /// Begins the first waiting run that is due. A run that cannot begin must be started again, unless the rig is busy or
     /// the store fails; an event reports it. Returns when to decide again, if none began and some are early.
-    async fn begin_next(&self, now: Timestamp) -> Result<Option<Duration>, ConductorError> {
+    async fn begin_next(&self, now: Timestamp) -> ConductorResult<Option<Duration>> {
         let waiting = self.still_waiting().await?;
         let lock = self.inner.store.lock().await?;
         let starters = self.starters();
@@ -103,7 +103,7 @@ impl Conductor {
 
     /// Refuses a run that has lost its turn while it was planned: it was dropped, there was a sign of a person, which
     /// drops it, or another person has taken the operator lock.
-    async fn require_turn(&self, run: &RunRow) -> Result<(), ConductorError> {
+    async fn require_turn(&self, run: &RunRow) -> ConductorResult<()> {
         let lock = self.inner.store.lock().await?;
         let (now, starters) = (Timestamp::now(), self.starters());
         let present = turn::Present { now, lock: lock.as_ref(), starters: &starters };
@@ -164,11 +164,7 @@ impl Conductor {
 
     /// Marks the run that the earlier process drove as interrupted: this one does not drive it. States why until a person
     /// starts or ends it. `why`: none if the rig was not reached.
-    pub(super) async fn give_up(
-        &self,
-        run: &RunRow,
-        why: Option<String>,
-    ) -> Result<(), ConductorError> {
+    pub(super) async fn give_up(&self, run: &RunRow, why: Option<String>) -> ConductorResult<()> {
         let _one_at_a_time = self.inner.beginning.lock().await;
         let active = self.active();
         self.inner.store.interrupt_open_runs(active).await?;
@@ -203,7 +199,7 @@ impl Conductor {
     }
 
     /// Stores which of the runs that wait were dropped, for the process after a crash.
-    async fn store_dropped(&self) -> Result<(), ConductorError> {
+    async fn store_dropped(&self) -> ConductorResult<()> {
         // One that a person starts again meanwhile waits.
         let _one_at_a_time = self.inner.beginning.lock().await;
         for run in self.inner.store.waiting_runs().await? {
@@ -215,7 +211,7 @@ impl Conductor {
     }
 
     /// Removes runs from those that wait, all first in memory: none of them begins, whatever the store does.
-    pub(super) async fn drop_each(&self, runs: &[RunRow], why: &str) -> Result<(), ConductorError> {
+    pub(super) async fn drop_each(&self, runs: &[RunRow], why: &str) -> ConductorResult<()> {
         self.waiting().retain(|uid| runs.iter().all(|run| run.uid != *uid));
         self.dropped().extend(runs.iter().map(|run| (run.uid, why.to_owned())));
         for run in runs {
@@ -225,7 +221,7 @@ impl Conductor {
     }
 
     /// Removes a run from those that wait; an event reports it.
-    pub(super) async fn drop_waiting(&self, run: &RunRow, why: &str) -> Result<(), ConductorError> {
+    pub(super) async fn drop_waiting(&self, run: &RunRow, why: &str) -> ConductorResult<()> {
         run_span(run.uid, run.scan_id)
             .in_scope(|| tracing::warn!(why, "a waiting run does not begin"));
         self.waiting().remove(&run.uid);
@@ -249,15 +245,13 @@ mod tests {
     use std::sync::Arc;
     use std::sync::atomic::AtomicU64;
 
-    use super::super::stand_in::{asked, conductor, granted, in_an_hour, queued_on, start};
+    use super::super::stand_in::{asked, conductor, driven, granted, in_an_hour, queued_on, start};
     use super::super::{AutoResume, Started, Terms};
     use super::*;
     use crate::campaign::bench::interlock::{Trip, TripKind};
     use crate::campaign::bench::rig_state::RigState;
     use crate::campaign::shown::command::Request;
     use crate::campaign::shown::show;
-    use crate::journal::Journal;
-    use crate::state::StateChange;
     use crate::suspension::Suspensions;
 
     /// Why a run is dropped.
@@ -290,8 +284,7 @@ mod tests {
         let (conductor, mut inbox, _folder) = conductor().await;
         let terms = Terms { auto_resume: Some(true), not_before: None };
         let run = queued_on(&conductor, terms).await;
-        let running = StateChange::to(StoredState::Running);
-        conductor.inner.store.run_state(run.uid, running, Timestamp::now()).await.unwrap();
+        driven(&conductor, &run).await;
         let trips = async {
             let answer = asked(&mut inbox, |request| matches!(request, Request::Connect)).await;
             let trip = Trip { kind: TripKind::Stale, detail: "x: no reply".into() };
@@ -371,8 +364,7 @@ mod tests {
         let (conductor, inbox, _folder) = conductor().await;
         let run = queued(&conductor, None).await;
         let job = conductor.prepare_stored(&run).await.unwrap().job(&run);
-        let running = StateChange::to(StoredState::Running);
-        conductor.inner.store.run_state(run.uid, running, Timestamp::now()).await.unwrap();
+        driven(&conductor, &run).await;
         let one_at_a_time = conductor.inner.beginning.lock().await;
         let taken = conductor.resume_after_restart(AutoResume::Allowed);
         let begins = async {

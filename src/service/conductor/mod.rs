@@ -41,7 +41,7 @@ mod stopped;
 mod take_over;
 mod turn;
 
-pub use error::ConductorError;
+pub use error::{ConductorError, ConductorResult};
 use prepare::{Prepared, same_label};
 pub use prepare::{Submission, run_kind};
 pub use queue::Terms;
@@ -204,7 +204,7 @@ impl Conductor {
     ///
     /// # Errors
     /// `ConductorError::Problems` if a file is invalid.
-    pub async fn preflight_of(&self, run: &RunRow) -> Result<Preflight, ConductorError> {
+    pub async fn preflight_of(&self, run: &RunRow) -> ConductorResult<Preflight> {
         Ok(self.prepare(Submission::of(run)).await?.preflight)
     }
 
@@ -213,7 +213,7 @@ impl Conductor {
     /// # Errors
     /// `ConductorError::Forbidden` if the run is not startable or the store is damaged; `Problems`
     /// if the preflight has problems.
-    pub async fn arm(&self, run: &RunRow) -> Result<Armed, ConductorError> {
+    pub async fn arm(&self, run: &RunRow) -> ConductorResult<Armed> {
         startable(run)?;
         self.require_sound_store()?;
         let preflight = self.prepare_stored(run).await?.preflight;
@@ -233,12 +233,7 @@ impl Conductor {
     /// `ConductorError::Forbidden` if the run is not startable, the code is invalid, the store is
     /// damaged, the e-stop is latched, or there is a sign of a person meanwhile; `Refused` if another person takes the
     /// operator lock meanwhile, or the campaign refuses.
-    pub async fn start(
-        &self,
-        run: &RunRow,
-        code: &str,
-        by: String,
-    ) -> Result<Started, ConductorError> {
+    pub async fn start(&self, run: &RunRow, code: &str, by: String) -> ConductorResult<Started> {
         startable(run)?;
         self.check_code(run, code)?;
         let is_early = !turn::is_due(run, Timestamp::now());
@@ -279,7 +274,7 @@ impl Conductor {
     /// # Errors
     /// `ConductorError::Refused` if the campaign refuses; `Forbidden` if it has ended in this process, and how is not
     /// stored yet; `Store` if the store fails.
-    pub async fn abort_undriven(&self, run: &RunRow) -> Result<bool, ConductorError> {
+    pub async fn abort_undriven(&self, run: &RunRow) -> ConductorResult<bool> {
         let _one_at_a_time = self.inner.beginning.lock().await;
         if self.active() == Some(run.uid) {
             self.inner.campaign.ask(Request::Abort).await?;
@@ -327,13 +322,13 @@ impl Conductor {
     }
 
     /// The row of a run as it is stored now.
-    async fn present(&self, run: &RunRow) -> Result<RunRow, ConductorError> {
+    async fn present(&self, run: &RunRow) -> ConductorResult<RunRow> {
         let now = self.inner.store.run(run.uid).await?;
         now.ok_or_else(|| ConductorError::NoRun(run.uid.to_string()))
     }
 
     /// The row of a run as it is stored now, unless it was edited, ended or removed since `run` was read.
-    async fn unended(&self, run: &RunRow) -> Result<RunRow, ConductorError> {
+    async fn unended(&self, run: &RunRow) -> ConductorResult<RunRow> {
         let now = self.present(run).await?;
         if Edition::of(&now) != Edition::of(run) {
             let words = format!("run {} was edited meanwhile: arm and start it again", run.scan_id);
@@ -347,7 +342,7 @@ impl Conductor {
     }
 
     /// Refuses what was requested before the last sign of a person; `signs`: their number then.
-    fn require_no_sign(&self, signs: u64) -> Result<(), ConductorError> {
+    fn require_no_sign(&self, signs: u64) -> ConductorResult<()> {
         let attended = self.inner.campaign.status().attended;
         match attended.signs == signs {
             true => Ok(()),
@@ -357,13 +352,13 @@ impl Conductor {
 
     /// Refuses a start if a person may have come to the rig since it was requested: there was a sign of one, or another
     /// person has taken the operator lock. `by`: who starts it, as the holder of a lock is named.
-    async fn require_no_person(&self, signs: u64, by: &str) -> Result<(), ConductorError> {
+    async fn require_no_person(&self, signs: u64, by: &str) -> ConductorResult<()> {
         let lock = self.inner.store.lock().await?;
         self.require_no_sign(signs)?;
         lock.filter(|lock| lock.holder != by).map_or(Ok(()), |lock| Err(locked(&lock)))
     }
 
-    fn check_code(&self, row: &RunRow, code: &str) -> Result<(), ConductorError> {
+    fn check_code(&self, row: &RunRow, code: &str) -> ConductorResult<()> {
         let (run, armings) = (row.uid, self.armings());
         let forbidden = |words: String| Err(ConductorError::Forbidden(words));
         match armings.get(&run) {
@@ -385,7 +380,7 @@ impl Conductor {
     }
 
     /// Refuses runs on a database that is known to be damaged.
-    fn require_sound_store(&self) -> Result<(), ConductorError> {
+    fn require_sound_store(&self) -> ConductorResult<()> {
         match self.inner.store.soundness() {
             Soundness::Unchecked | Soundness::Sound => Ok(()),
             Soundness::Damaged(findings) => Err(ConductorError::Forbidden(format!(
@@ -400,8 +395,8 @@ impl Conductor {
     async fn begin(
         &self,
         run: &RunRow,
-        refused: impl Future<Output = Result<(), ConductorError>> + Send,
-    ) -> Result<(), ConductorError> {
+        refused: impl Future<Output = ConductorResult<()>> + Send,
+    ) -> ConductorResult<()> {
         let beginning = async {
             let _one_at_a_time = self.inner.beginning.lock().await;
             self.require_sound_store()?;
@@ -429,7 +424,7 @@ impl Conductor {
 
     /// Plans a stored run again, and compares the plan with the one that was kept. The plan of a run
     /// that an older version queued is kept now.
-    async fn prepare_stored(&self, run: &RunRow) -> Result<Prepared, ConductorError> {
+    async fn prepare_stored(&self, run: &RunRow) -> ConductorResult<Prepared> {
         let prepared = self.prepare(Submission::of(run)).await?.sound()?;
         same_label(run.scan_id, run.label, prepared.label)?;
         match self.inner.store.plan_of(run.uid).await? {
@@ -443,7 +438,7 @@ impl Conductor {
     ///
     /// # Errors
     /// `ConductorError::Problems` if a file is invalid.
-    pub(crate) async fn prepare(&self, submission: Submission) -> Result<Prepared, ConductorError> {
+    pub(crate) async fn prepare(&self, submission: Submission) -> ConductorResult<Prepared> {
         let rig = self.inner.rig.clone();
         // A plan of 198,000 trials takes about 0.3 s: not on a thread that answers requests.
         let prepared = tokio::task::spawn_blocking(move || Prepared::of(&submission, &rig)).await;
@@ -484,7 +479,7 @@ fn locked(LockRow { holder, note, .. }: &LockRow) -> ConductorError {
     Refusal::State(format!("{holder} has taken the operator lock: {note}")).into()
 }
 
-fn startable(run: &RunRow) -> Result<(), ConductorError> {
+fn startable(run: &RunRow) -> ConductorResult<()> {
     match run.state {
         StoredState::Queued => Ok(()),
         _ if run.is_resumable => Ok(()),

@@ -5,7 +5,7 @@ use serde::Deserialize;
 use sim_core::sensor::Sensor;
 use utoipa::ToSchema;
 
-use super::{ConductorError, RigFile};
+use super::{ConductorError, ConductorResult, RigFile};
 use crate::campaign::run::job::Job;
 use crate::carried;
 use crate::problem::Problem;
@@ -122,7 +122,7 @@ impl Prepared {
     ///
     /// # Errors
     /// `ConductorError::Problems` with those of the preflight.
-    pub fn sound(self) -> Result<Self, ConductorError> {
+    pub fn sound(self) -> ConductorResult<Self> {
         if self.preflight.problems.is_empty() {
             Ok(self)
         } else {
@@ -134,7 +134,7 @@ impl Prepared {
     ///
     /// # Errors
     /// `ConductorError::PlanDiffers` with the differing places.
-    pub fn matches(&self, run: &RunRow, stored: &str) -> Result<(), ConductorError> {
+    pub fn matches(&self, run: &RunRow, stored: &str) -> ConductorResult<()> {
         let difference = kept::difference(stored, &self.plan_text)
             .unwrap_or_else(|error| Some(format!("the stored plan cannot be read: {error}")));
         match difference {
@@ -168,7 +168,7 @@ impl Prepared {
 ///
 /// # Errors
 /// `ConductorError::Forbidden` with both labels.
-pub fn same_label(run: i64, of_run: Label, of_rig: Label) -> Result<(), ConductorError> {
+pub fn same_label(run: i64, of_run: Label, of_rig: Label) -> ConductorResult<()> {
     if of_run == of_rig {
         return Ok(());
     }

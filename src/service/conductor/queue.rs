@@ -5,7 +5,7 @@ use jiff::Timestamp;
 use serde_json::json;
 
 use super::prepare::{Prepared, run_kind};
-use super::{Conductor, ConductorError, Submission, turn};
+use super::{Conductor, ConductorError, ConductorResult, Submission, turn};
 use crate::ids::{CalibrationId, RunUid};
 use crate::state::StoredState;
 use crate::store::{NewRun, RunRow};
@@ -30,7 +30,7 @@ impl Conductor {
         submission: Submission,
         who: String,
         terms: Terms,
-    ) -> Result<RunRow, ConductorError> {
+    ) -> ConductorResult<RunRow> {
         let new = self.new_run(RunUid::new(), submission, who, terms).await?;
         Ok(self.inner.store.enqueue(new).await?)
     }
@@ -45,7 +45,7 @@ impl Conductor {
         run: &RunRow,
         submission: Submission,
         terms: Terms,
-    ) -> Result<RunRow, ConductorError> {
+    ) -> ConductorResult<RunRow> {
         self.require_queued(run, "edited")?;
         let new = self.new_run(run.uid, submission, run.submitted_by.clone(), terms).await?;
         let _one_at_a_time = self.inner.beginning.lock().await;
@@ -73,7 +73,7 @@ impl Conductor {
     ///
     /// # Errors
     /// `ConductorError::Forbidden` if the run is not queued; `Store` if the store fails.
-    pub async fn remove(&self, run: &RunRow) -> Result<RunRow, ConductorError> {
+    pub async fn remove(&self, run: &RunRow) -> ConductorResult<RunRow> {
         let _one_at_a_time = self.inner.beginning.lock().await;
         self.require_queued(&self.present(run).await?, "removed")?;
         let row = self.inner.store.remove(run.uid).await?;
@@ -81,7 +81,7 @@ impl Conductor {
         Ok(row)
     }
 
-    fn require_queued(&self, run: &RunRow, becomes: &str) -> Result<(), ConductorError> {
+    fn require_queued(&self, run: &RunRow, becomes: &str) -> ConductorResult<()> {
         let active = self.inner.campaign.status().run.is_some_and(|r| r.uid == run.uid);
         let state = if active { StoredState::Running } else { run.state };
         if state == StoredState::Queued {
@@ -97,7 +97,7 @@ impl Conductor {
         submission: Submission,
         who: String,
         terms: Terms,
-    ) -> Result<NewRun, ConductorError> {
+    ) -> ConductorResult<NewRun> {
         turn::check(terms.not_before, Timestamp::now())
             .map_err(|problems| ConductorError::Problems { problems })?;
         let definition = submission.definition.clone();
@@ -140,13 +140,14 @@ mod tests {
     use std::sync::atomic::Ordering;
     use std::time::Duration;
 
-    use super::super::stand_in::{conductor, granted, in_an_hour, queued_on, start};
+    use super::super::stand_in::{
+        conductor, driven, granted, in_an_hour, queued_on, start, unasked,
+    };
     use super::super::{CODE_VALID, Started};
     use super::*;
     use crate::campaign::shown::command::{Envelope, Refusal, Request};
     use crate::campaign::shown::show;
     use crate::journal::{ExitStatus, Journal};
-    use crate::state::StateChange;
 
     fn early() -> Terms {
         Terms { auto_resume: None, not_before: in_an_hour() }
@@ -217,8 +218,7 @@ mod tests {
         let (started, ()) = tokio::join!(conductor.start(&run, &code, "ada".into()), begins);
         assert_eq!(started.unwrap(), Started::Running);
         let store = &conductor.inner.store;
-        let running = StateChange::to(StoredState::Running);
-        store.run_state(run.uid, running, Timestamp::now()).await.unwrap();
+        driven(&conductor, &run).await;
         // The campaign does not drive it any more: its end waits for the store.
         for _ in 0..2 {
             let noted = granted(&mut inbox, |request| matches!(request, Request::CameLate));
@@ -238,8 +238,7 @@ mod tests {
         let (conductor, _inbox, _folder) = conductor().await;
         let run = queued_on(&conductor, early()).await;
         let store = &conductor.inner.store;
-        let running = StateChange::to(StoredState::Running);
-        store.run_state(run.uid, running, Timestamp::now()).await.unwrap();
+        driven(&conductor, &run).await;
         store.interrupt_open_runs(None).await.unwrap();
         let run = conductor.present(&run).await.unwrap();
         let code = conductor.arm(&run).await.unwrap().code;
@@ -313,10 +312,8 @@ mod tests {
                 drop(one_at_a_time);
             };
             let start = conductor.start(&run, &code, "ada".into());
-            let started = tokio::select! {
-                both = async { tokio::join!(start, locks).0 } => both,
-                asked = inbox.next() => panic!("{asked:?}"),
-            };
+            let both = async { tokio::join!(start, locks).0 };
+            let started = unasked(&mut inbox, both).await;
             let words = started.unwrap_err().to_string();
             assert_eq!(words, "bob has taken the operator lock: hands in the rig");
             assert!(conductor.waiting().is_empty());

@@ -68,10 +68,12 @@ fn is_manual(run: &RunRow) -> bool {
 
 #[cfg(test)]
 pub(super) mod tests {
+    use jiff::Timestamp;
+    use serde_json::json;
+
     use super::AutoResume::{Allowed, Off};
     use super::*;
     use crate::ids::RunUid;
-    use crate::store::Label;
 
     /// A stored run.
     pub(in super::super) fn run(
@@ -79,41 +81,13 @@ pub(super) mod tests {
         paused_why: Option<PausedWhy>,
         auto_resume: bool,
     ) -> RunRow {
-        RunRow {
-            uid: RunUid::new(),
-            scan_id: 1,
-            experiment: "quickstart".into(),
-            kind: RunKind::RealHex,
-            definition: String::new(),
-            definition_sha256: String::new(),
-            seed: Some(1),
-            rig: None,
-            rig_sha256: None,
-            sensor: String::new(),
-            sensor_sha256: String::new(),
-            calibration_id: None,
-            label: Label::Virtual,
-            version: String::new(),
-            git_commit: None,
-            deadband_n: 5.0,
-            tip_diameter_mm: None,
-            trials_planned: 1,
-            auto_resume,
-            not_before: None,
-            plan_sha256: None,
-            state,
-            requested_state: None,
-            paused_why,
-            exit_status: None,
-            reason: None,
-            queue_position: None,
-            waiting_since: None,
-            is_resumable: false,
-            created_at: jiff::Timestamp::UNIX_EPOCH,
-            started_at: None,
-            ended_at: None,
-            submitted_by: "local".into(),
-        }
+        let stored = json!({ "uid": RunUid::new(), "scan_id": 1, "experiment": "quickstart",
+            "kind": "real-hex", "definition": "", "definition_sha256": "", "seed": 1, "sensor": "",
+            "sensor_sha256": "", "label": "virtual", "version": "", "deadband_n": 5.0,
+            "trials_planned": 1, "auto_resume": auto_resume, "state": state,
+            "paused_why": paused_why, "is_resumable": false, "created_at": Timestamp::UNIX_EPOCH,
+            "submitted_by": "local" });
+        serde_json::from_value(stored).unwrap()
     }
 
     /// Decision on one open run and one that waits: driven, waiting, reason of the drop.

@@ -11,7 +11,9 @@ use crate::campaign::bench::estop::StopSwitch;
 use crate::campaign::shown::command::{Envelope, Inbox, Refusal, Request, channel};
 use crate::campaign::shown::show;
 use crate::clock::Clock;
+use crate::journal::Journal;
 use crate::rig::setup::RigSetup;
+use crate::state::{StateChange, StoredState};
 use crate::store::{RunRow, Store};
 
 /// A conductor with an empty database and a disconnected rig, which answers nothing.
@@ -56,6 +58,20 @@ pub(super) async fn asked(
 /// Grants the next request, which must be this one.
 pub(super) async fn granted(inbox: &mut Inbox, is_this: fn(&Request) -> bool) {
     let _ = asked(inbox, is_this).await.send(Ok(()));
+}
+
+/// Stores that a run is driven, as its campaign does.
+pub(super) async fn driven(conductor: &Conductor, run: &RunRow) {
+    let running = StateChange::to(StoredState::Running);
+    conductor.inner.store.run_state(run.uid, running, Timestamp::now()).await.unwrap();
+}
+
+/// What becomes of work that requests nothing of the campaign.
+pub(super) async fn unasked<T>(inbox: &mut Inbox, work: impl Future<Output = T>) -> T {
+    tokio::select! {
+        done = work => done,
+        asked = inbox.next() => panic!("{asked:?}"),
+    }
 }
 
 pub(super) fn in_an_hour() -> Option<Timestamp> {

@@ -4,7 +4,7 @@
 
 use std::sync::atomic::Ordering;
 
-use super::{Conductor, ConductorError};
+use super::{Conductor, ConductorError, ConductorResult};
 use crate::campaign::bench::rig_state::RigState;
 use crate::campaign::shown::command::Request;
 use crate::journal::error_chain;
@@ -20,7 +20,7 @@ impl Conductor {
     ///
     /// # Errors
     /// `Store` if the store fails: then only this process drives nothing.
-    pub async fn note_stop(&self) -> Result<(), ConductorError> {
+    pub async fn note_stop(&self) -> ConductorResult<()> {
         // Before the wait, and in memory: an attempt in progress does not begin it, whatever the store does.
         self.note_operation();
         // With open wires the press trips the rig, which drops the runs that wait.
@@ -45,7 +45,7 @@ impl Conductor {
     /// # Errors
     /// `Forbidden` if a run is active; `Refused` if nothing moves; `Store` if the store fails: then only this process
     /// drives nothing.
-    pub async fn abort_motion(&self) -> Result<(), ConductorError> {
+    pub async fn abort_motion(&self) -> ConductorResult<()> {
         if let Some(run) = self.inner.campaign.status().run {
             let words = format!("run {} is active: pause, stop or abort it", run.scan_id);
             return Err(ConductorError::Forbidden(words));
@@ -74,7 +74,7 @@ impl Conductor {
 
     /// Refuses to let a run wait while the e-stop is latched, also with closed wires, where nothing is tripped: it
     /// would wait in the next process, too.
-    pub(super) fn require_released(&self) -> Result<(), ConductorError> {
+    pub(super) fn require_released(&self) -> ConductorResult<()> {
         let pressed = self.inner.campaign.stop_switch().pressed();
         pressed.map_or(Ok(()), |press| {
             let why = press.why;
@@ -116,14 +116,13 @@ impl Conductor {
 
 #[cfg(test)]
 mod tests {
-    use jiff::Timestamp;
-
-    use super::super::stand_in::{conductor, granted, in_an_hour, queued_on, start};
+    use super::super::stand_in::{
+        conductor, driven, granted, in_an_hour, queued_on, start, unasked,
+    };
     use super::super::{AutoResume, Terms};
     use super::*;
     use crate::campaign::shown::show;
-    use crate::journal::Journal;
-    use crate::state::{StateChange, StoredState};
+    use crate::state::StoredState;
     use crate::store::RunRow;
 
     /// Why a run is dropped.
@@ -133,23 +132,18 @@ mod tests {
     async fn after_an_e_stop_with_closed_wires_neither_this_process_nor_the_next_drives_a_run() {
         let (conductor, mut inbox, _folder) = conductor().await;
         let terms = Terms { auto_resume: Some(true), not_before: None };
-        let [driven, next] =
-            [queued_on(&conductor, terms).await, queued_on(&conductor, terms).await];
+        let [run, next] = [queued_on(&conductor, terms).await, queued_on(&conductor, terms).await];
+        driven(&conductor, &run).await;
         let store = &conductor.inner.store;
-        let running = StateChange::to(StoredState::Running);
-        store.run_state(driven.uid, running, Timestamp::now()).await.unwrap();
         store.set_waiting(next.uid).await.unwrap();
         conductor.note_stop().await.unwrap();
         // The next process reads only what is stored.
-        let stored = conductor.present(&driven).await.unwrap();
+        let stored = conductor.present(&run).await.unwrap();
         assert_eq!(stored.state, StoredState::Interrupted);
         assert!(store.waiting_runs().await.unwrap().is_empty());
         assert_eq!(conductor.why_dropped(next.uid), Some(format!("{PRESSED}: start it again")));
-        let taken = tokio::select! {
-            taken = conductor.resume_after_restart(AutoResume::Allowed) => taken,
-            asked = inbox.next() => panic!("{asked:?}"),
-        };
-        taken.unwrap();
+        let taken = conductor.resume_after_restart(AutoResume::Allowed);
+        unasked(&mut inbox, taken).await.unwrap();
     }
 
     #[tokio::test]
@@ -157,9 +151,7 @@ mod tests {
         let (conductor, mut inbox, _folder) = conductor().await;
         let terms = Terms { auto_resume: Some(true), not_before: None };
         let run = queued_on(&conductor, terms).await;
-        let store = &conductor.inner.store;
-        let running = StateChange::to(StoredState::Running);
-        store.run_state(run.uid, running, Timestamp::now()).await.unwrap();
+        driven(&conductor, &run).await;
         // The rig homes for it.
         *conductor.inner.brought_up.lock() = Some(run.uid);
         let ended = granted(&mut inbox, |request| matches!(request, Request::AbortMotion));
@@ -177,9 +169,8 @@ mod tests {
         let terms = Terms { auto_resume: Some(true), not_before: None };
         let [active, left] =
             [queued_on(&conductor, terms).await, queued_on(&conductor, terms).await];
-        let running = StateChange::to(StoredState::Running);
         for run in [&active, &left] {
-            conductor.inner.store.run_state(run.uid, running, Timestamp::now()).await.unwrap();
+            driven(&conductor, run).await;
         }
         let job = conductor.prepare_stored(&active).await.unwrap().job(&active);
         inbox.status.send_modify(|status| status.run = Some(show::started(&job)));
@@ -198,10 +189,7 @@ mod tests {
         let run = queued_on(&conductor, Terms::default()).await;
         let job = conductor.prepare_stored(&run).await.unwrap().job(&run);
         inbox.status.send_modify(|status| status.run = Some(show::started(&job)));
-        let aborted = tokio::select! {
-            aborted = conductor.abort_motion() => aborted,
-            asked = inbox.next() => panic!("{asked:?}"),
-        };
+        let aborted = unasked(&mut inbox, conductor.abort_motion()).await;
         let words = aborted.unwrap_err().to_string();
         assert_eq!(words, "run 1 is active: pause, stop or abort it");
     }

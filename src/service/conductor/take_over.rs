@@ -10,7 +10,7 @@ use serde_json::json;
 use tracing::Instrument;
 
 use super::restart::{AutoResume, TakenOver};
-use super::{Conductor, ConductorError, locked, turn};
+use super::{Conductor, ConductorError, ConductorResult, locked, turn};
 use crate::campaign::bench::rig_state::RigState;
 use crate::campaign::bench::travel::HOMING_WAIT;
 use crate::campaign::shown::command::{Refusal, Request};
@@ -46,7 +46,7 @@ impl Conductor {
     ///
     /// # Errors
     /// `ConductorError` if the store fails, or the run cannot resume.
-    pub async fn resume_after_restart(&self, resume: AutoResume) -> Result<(), ConductorError> {
+    pub async fn resume_after_restart(&self, resume: AutoResume) -> ConductorResult<()> {
         let store = &self.inner.store;
         // No run begins between the look at the active one and the mark of the others.
         let one_at_a_time = self.inner.beginning.lock().await;
@@ -114,10 +114,7 @@ impl Conductor {
     /// Then none of them waits, and the signs of a person that were followed before are returned with it.
     /// `None` if none of them waits any more, such as after a sign of a person, or if one has brought the rig up: then
     /// the run begins as any other.
-    async fn first_due(
-        &self,
-        waiting: Vec<RunRow>,
-    ) -> Result<Option<(RunRow, u64)>, ConductorError> {
+    async fn first_due(&self, waiting: Vec<RunRow>) -> ConductorResult<Option<(RunRow, u64)>> {
         let taken_over: BTreeSet<RunUid> = waiting.iter().map(|run| run.uid).collect();
         self.let_wait(taken_over.iter().copied());
         // Read after it: a sign of a person that came before was followed without them.
@@ -168,7 +165,7 @@ impl Conductor {
 
     /// Drives a run again; returns `false` if the rig could not be reached. Nothing moves if a person may have come to
     /// the rig since `before`.
-    async fn drive_again(&self, run: &RunRow, before: Unattended) -> Result<bool, ConductorError> {
+    async fn drive_again(&self, run: &RunRow, before: Unattended) -> ConductorResult<bool> {
         // Before the wires are opened: nothing moves for a run that is refused.
         self.require_sound_store()?;
         if let Err(error) = self.prepare_stored(run).await {
@@ -204,7 +201,7 @@ impl Conductor {
 
     /// Brings the rig up and begins a run, unless the run was ended, a lock was taken or a person has operated the
     /// rig, also while it homed.
-    async fn try_to_drive(&self, run: &RunRow, before: Unattended) -> Result<(), ConductorError> {
+    async fn try_to_drive(&self, run: &RunRow, before: Unattended) -> ConductorResult<()> {
         *self.inner.brought_up.lock() = Some(run.uid);
         // First: the cause, if an operation has also interrupted it.
         self.require_not_operated(run.uid)?;
@@ -220,11 +217,7 @@ impl Conductor {
     ///
     /// # Errors
     /// `ConductorError::Refused` if the campaign refuses; `Store` if the store fails: then only this process holds it.
-    pub async fn hold_undriven(
-        &self,
-        run: RunUid,
-        request: Request,
-    ) -> Result<bool, ConductorError> {
+    pub async fn hold_undriven(&self, run: RunUid, request: Request) -> ConductorResult<bool> {
         // Before the wait: an attempt in progress does not begin it.
         self.note_operation();
         self.end_bringing_up(run);
@@ -262,13 +255,13 @@ impl Conductor {
         &self,
         run: &RunRow,
         Unattended { since, signs }: Unattended,
-    ) -> Result<(), ConductorError> {
+    ) -> ConductorResult<()> {
         self.require_not_operated(run.uid)?;
         self.require_no_sign(signs)?;
         self.require_no_lock(run, since).await
     }
 
-    fn require_not_operated(&self, run: RunUid) -> Result<(), ConductorError> {
+    fn require_not_operated(&self, run: RunUid) -> ConductorResult<()> {
         if !self.is_operated_since_start(run) {
             return Ok(());
         }
@@ -277,11 +270,7 @@ impl Conductor {
         Err(ConductorError::Forbidden(words.into()))
     }
 
-    async fn require_no_lock(
-        &self,
-        run: &RunRow,
-        since: Option<Timestamp>,
-    ) -> Result<(), ConductorError> {
+    async fn require_no_lock(&self, run: &RunRow, since: Option<Timestamp>) -> ConductorResult<()> {
         let lock = self.inner.store.lock().await?;
         let (now, starters) = (Timestamp::now(), self.starters());
         let present = turn::Present { now, lock: lock.as_ref(), starters: &starters };
@@ -294,7 +283,7 @@ impl Conductor {
 
     /// Opens the wires and homes the rig, as needed. A skin alone has nothing to home, and for a manual run nothing
     /// moves: a person's hands may be on the skin. After a crash the first motion is z up, as in every homing.
-    async fn bring_up(&self, run: &RunRow, before: Unattended) -> Result<(), ConductorError> {
+    async fn bring_up(&self, run: &RunRow, before: Unattended) -> ConductorResult<()> {
         let campaign = &self.inner.campaign;
         if campaign.status().rig.state == RigState::Disconnected {
             campaign.ask(Request::Connect).await?;
@@ -346,12 +335,11 @@ impl Conductor {
 #[cfg(test)]
 mod tests {
     use super::super::Terms;
-    use super::super::stand_in::{asked, conductor, granted, queued_on};
+    use super::super::stand_in::{asked, conductor, driven, granted, queued_on, unasked};
     use super::*;
     use crate::campaign::shown::command::Inbox;
     use crate::campaign::shown::show;
-    use crate::journal::Journal;
-    use crate::state::{StateChange, StoredState};
+    use crate::state::StoredState;
 
     /// Why a run is dropped.
     const RUN_ABORTED: &str = "a run was aborted";
@@ -359,12 +347,10 @@ mod tests {
     /// A run that the earlier process drove, and one that waited behind it.
     async fn earlier(conductor: &Conductor) -> [RunRow; 2] {
         let terms = Terms { auto_resume: Some(true), not_before: None };
-        let [driven, next] = [queued_on(conductor, terms).await, queued_on(conductor, terms).await];
-        let store = &conductor.inner.store;
-        let running = StateChange::to(StoredState::Running);
-        store.run_state(driven.uid, running, Timestamp::now()).await.unwrap();
-        store.set_waiting(next.uid).await.unwrap();
-        [driven, next]
+        let [run, next] = [queued_on(conductor, terms).await, queued_on(conductor, terms).await];
+        driven(conductor, &run).await;
+        conductor.inner.store.set_waiting(next.uid).await.unwrap();
+        [run, next]
     }
 
     /// A person aborts a run, and the campaign is told.
@@ -384,11 +370,8 @@ mod tests {
         let [driven, next] = earlier(&conductor).await;
         // The database is still examined.
         abort(&conductor, &driven, &mut inbox).await;
-        let taken = tokio::select! {
-            taken = conductor.resume_after_restart(AutoResume::Allowed) => taken,
-            asked = inbox.next() => panic!("{asked:?}"),
-        };
-        taken.unwrap();
+        let taken = conductor.resume_after_restart(AutoResume::Allowed);
+        unasked(&mut inbox, taken).await.unwrap();
         assert_eq!(conductor.why_dropped(next.uid), Some(format!("{RUN_ABORTED}: start it again")));
         assert!(conductor.inner.store.waiting_runs().await.unwrap().is_empty());
     }

@@ -8,7 +8,7 @@ use plotters::prelude::*;
 use plotters::style::colors::colormaps::ViridisRGB;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
 
-use super::figures::{FigureError, page};
+use super::figures::{FigureResult, page};
 use crate::figure::style::{AxesStyle, COLOURS, INK, SMALL, TEXT, TINY, framed, plain, whole};
 use crate::figure::{Area, Drawn, Heading, PageSize};
 
@@ -67,12 +67,7 @@ const ROLES: [RGBColor; 3] = [COLOURS[1], COLOURS[5], COLOURS[0]];
 ///
 /// # Errors
 /// `FigureError` if the plotting backend fails.
-pub fn panels(
-    heading: &Heading,
-    x: &str,
-    y: &str,
-    panels: &[Panel],
-) -> Result<String, FigureError> {
+pub fn panels(heading: &Heading, x: &str, y: &str, panels: &[Panel]) -> FigureResult<String> {
     let all = || panels.iter().flat_map(|panel| &panel.lines).flat_map(|line| &line.places);
     let (left, right) = all().fold((f64::MAX, f64::MIN), |(l, r), p| (l.min(p.0), r.max(p.0)));
     let (low, high) =
@@ -195,7 +190,7 @@ pub(super) fn from_top<'a, T>(at: &SegmentValue<usize>, items: &'a [T]) -> Optio
 ///
 /// # Errors
 /// `FigureError` if the plotting backend fails.
-pub fn bars(heading: &Heading, x: &str, bars: &[Bar]) -> Result<String, FigureError> {
+pub fn bars(heading: &Heading, x: &str, bars: &[Bar]) -> FigureResult<String> {
     let low = bars.iter().map(|bar| bar.mean - bar.sd).fold(0.0, f64::min);
     let high = bars.iter().map(|bar| bar.mean + bar.sd).fold(0.0, f64::max);
     let room = (0.05 * (high - low)).max(1e-6);
@@ -240,7 +235,7 @@ pub fn bars(heading: &Heading, x: &str, bars: &[Bar]) -> Result<String, FigureEr
 ///
 /// # Errors
 /// `FigureError` if the plotting backend fails.
-pub fn heats(heading: &Heading, heats: &[Heat]) -> Result<String, FigureError> {
+pub fn heats(heading: &Heading, heats: &[Heat]) -> FigureResult<String> {
     let axis = |pick: usize| {
         let cells = heats.iter().flat_map(|heat| &heat.cells);
         let mut values: Vec<f64> = cells.map(|(at, _)| at[pick]).collect();
@@ -297,7 +292,7 @@ pub fn heats(heading: &Heading, heats: &[Heat]) -> Result<String, FigureError> {
 }
 
 /// A page that states that there is no data.
-pub(super) fn empty(heading: &Heading) -> Result<String, FigureError> {
+pub(super) fn empty(heading: &Heading) -> FigureResult<String> {
     page("an empty page", PageSize { width_px: 500, height_px: 80 }, heading, |area| {
         area.draw_text("no data", &TEXT.into_text_style(area), (20, 20))?;
         Ok(())

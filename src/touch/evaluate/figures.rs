@@ -23,6 +23,9 @@ pub struct FigureError {
     pub why: String,
 }
 
+/// Result of drawing a figure.
+pub type FigureResult<T> = Result<T, FigureError>;
+
 /// Quantity of a fit that is drawn.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Quantity {
@@ -66,7 +69,7 @@ pub(super) fn page(
     size: PageSize,
     heading: &Heading,
     draw: impl FnOnce(&Area<'_>) -> Drawn,
-) -> Result<String, FigureError> {
+) -> FigureResult<String> {
     crate::figure::figure(size, heading, draw).map_err(|why| FigureError { figure: name, why })
 }
 
@@ -120,7 +123,7 @@ pub fn by_force(
     heading: &Heading,
     report: &SimulationReport,
     quantity: Quantity,
-) -> Result<String, FigureError> {
+) -> FigureResult<String> {
     let (width_n, lines) = bins(report, quantity);
     let all = || lines.iter().flat_map(|(_, bins)| bins);
     let shown = || all().filter(|bin| bin.trials >= BIN_TRIALS_MIN);
@@ -210,7 +213,7 @@ pub fn boxes(
     heading: &Heading,
     report: &SimulationReport,
     quantity: Quantity,
-) -> Result<String, FigureError> {
+) -> FigureResult<String> {
     let boxes: Vec<(u8, u64, BoxPlot, f64)> = report
         .by_contacts
         .iter()
@@ -266,7 +269,7 @@ pub fn boxes(
 ///
 /// # Errors
 /// `FigureError` if the plotting backend fails.
-pub fn map(heading: &Heading, points: &[PointFit], skin: &Outline) -> Result<String, FigureError> {
+pub fn map(heading: &Heading, points: &[PointFit], skin: &Outline) -> FigureResult<String> {
     let panel = skin.panel(MAP_PX);
     let size = PageSize { width_px: panel.width_px + 112, ..panel };
     let heading = heading.clone().with_note(

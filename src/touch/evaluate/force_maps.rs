@@ -4,7 +4,7 @@
 use plotters::prelude::*;
 use plotters::style::colors::colormaps::ViridisRGB;
 
-use super::figures::{FigureError, page};
+use super::figures::{FigureError, FigureResult, page};
 use crate::dataset::force_map::{ForceMap, ForceMapSpec};
 use crate::dataset::pressed::as_pressed;
 use crate::figure::style::{AxesStyle, COLOURS, SMALL, TINY, dash, framed, legend, plain, whole};
@@ -28,11 +28,7 @@ impl Picture {
     ///
     /// # Errors
     /// `FigureError` if a contact is outside the map.
-    pub fn of_contacts(
-        name: &str,
-        spec: ForceMapSpec,
-        contacts: &[Contact],
-    ) -> Result<Self, FigureError> {
+    pub fn of_contacts(name: &str, spec: ForceMapSpec, contacts: &[Contact]) -> FigureResult<Self> {
         let failed = |error: crate::dataset::force_map::ForceMapError| FigureError {
             figure: "force map",
             why: error.to_string(),
@@ -50,11 +46,7 @@ impl Picture {
 ///
 /// # Errors
 /// `FigureError` if the plotting backend fails.
-pub fn pictures(
-    heading: &Heading,
-    maps: &[Picture],
-    columns: usize,
-) -> Result<String, FigureError> {
+pub fn pictures(heading: &Heading, maps: &[Picture], columns: usize) -> FigureResult<String> {
     let columns = columns.max(1);
     let rows = maps.len().div_ceil(columns).max(1);
     page(
@@ -109,7 +101,7 @@ fn short(value: f32) -> String {
 ///
 /// # Errors
 /// `FigureError` if the plotting backend fails.
-pub fn residuals(heading: &Heading, of: &Residuals) -> Result<String, FigureError> {
+pub fn residuals(heading: &Heading, of: &Residuals) -> FigureResult<String> {
     let Residuals { mean_v, sd_v, .. } = of;
     let millivolts = |v: f32| 1e3 * f64::from(v);
     let largest = mean_v.iter().zip(sd_v).map(|(m, s)| millivolts(m.abs() + s));

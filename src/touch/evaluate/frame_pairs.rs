@@ -5,7 +5,7 @@
 use plotters::prelude::*;
 use sim_core::stats::{quantile, sorted};
 
-use super::figures::{FigureError, page};
+use super::figures::{FigureResult, page};
 use crate::figure::skin::{BAR_PX, colour_bar};
 use crate::figure::style::{INK, SMALL, TEXT, TINY, diverging, framed};
 use crate::figure::{Area, Drawn, Heading, PageSize};
@@ -33,7 +33,7 @@ const READINGS_SHARE: f64 = 0.99;
 ///
 /// # Errors
 /// `FigureError` if the plotting backend fails.
-pub fn frame_pairs(heading: &Heading, pairs: &[FramePair]) -> Result<String, FigureError> {
+pub fn frame_pairs(heading: &Heading, pairs: &[FramePair]) -> FigureResult<String> {
     let rows = pairs.len().max(1) as u32;
     let size = PageSize { width_px: 3 * PANEL[0] + BAR_PX, height_px: rows * (PANEL[1] + NAME_PX) };
     let heading = heading.clone().with_note(

@@ -5,7 +5,7 @@ use plotters::prelude::*;
 use serde::Deserialize;
 
 use super::charts::{empty, upwards};
-use super::figures::{FigureError, page};
+use super::figures::{FigureResult, page};
 use crate::figure::series::MARKED_POINTS;
 use crate::figure::style::{AxesStyle, COLOURS, INK, dash, decade, framed, legend, whole};
 use crate::figure::{Heading, PageSize};
@@ -40,7 +40,7 @@ pub fn best(losses: &[EpochLoss]) -> Option<(u32, f64)> {
 ///
 /// # Errors
 /// `FigureError` if the plotting backend fails.
-pub fn curve(heading: &Heading, unit: &str, losses: &[EpochLoss]) -> Result<String, FigureError> {
+pub fn curve(heading: &Heading, unit: &str, losses: &[EpochLoss]) -> FigureResult<String> {
     type Pick = fn(&EpochLoss) -> Option<f64>;
     let picks: [(&str, Pick, RGBColor); 2] = [
         ("training", |at| Some(at.train_loss), COLOURS[2]),

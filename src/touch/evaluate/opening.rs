@@ -7,7 +7,7 @@ use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
 
 use super::charts::{from_top, segments};
-use super::figures::{FigureError, page};
+use super::figures::{FigureResult, page};
 use super::force_maps::Picture;
 use crate::dataset::read::PAPER_SKIN;
 use crate::figure::style::{AxesStyle, COLOURS, INK, SMALL, TEXT, TINY, framed, plain};
@@ -84,7 +84,7 @@ pub fn opening(
     methods: &[String],
     rows: &[Row],
     ranks: &[Rank],
-) -> Result<String, FigureError> {
+) -> FigureResult<String> {
     let columns = 1 + methods.len();
     let skins_px = CELL[0] * columns as u32;
     let height_px = HEAD_PX + CELL[1] * rows.len().max(2) as u32;

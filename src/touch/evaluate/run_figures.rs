@@ -8,7 +8,7 @@ use plotters::coord::types::RangedCoordf64;
 use plotters::prelude::*;
 
 use super::charts::Line;
-use super::figures::{FigureError, page};
+use super::figures::{FigureResult, page};
 use crate::figure::style::{AxesStyle, COLOURS, TINY, dash, framed, legend, plain, whole};
 use crate::figure::{Area, Drawn, Heading, PageSize};
 
@@ -61,7 +61,7 @@ fn numbers<'a, 'b>(
 ///
 /// # Errors
 /// `FigureError` if the plotting backend fails.
-pub fn bands(heading: &Heading, y: &str, bands: &[Band]) -> Result<String, FigureError> {
+pub fn bands(heading: &Heading, y: &str, bands: &[Band]) -> FigureResult<String> {
     let all = || bands.iter().flat_map(|band| &band.places);
     let right = all().map(|at| at[0]).fold(1e-6, f64::max);
     let (low, high) =
@@ -89,7 +89,7 @@ pub fn bands(heading: &Heading, y: &str, bands: &[Band]) -> Result<String, Figur
 ///
 /// # Errors
 /// `FigureError` if the plotting backend fails.
-pub fn contacts(heading: &Heading, contacts: &Contacts) -> Result<String, FigureError> {
+pub fn contacts(heading: &Heading, contacts: &Contacts) -> FigureResult<String> {
     let published = contacts.published.as_ref();
     let here = contacts.here.map(|count| count as f64);
     let top = here.iter().chain(published.iter().flat_map(|(_, all)| all)).copied();
@@ -139,7 +139,7 @@ pub fn histogram(
     values: &[f64],
     end: f64,
     mark: Option<(&str, f64)>,
-) -> Result<String, FigureError> {
+) -> FigureResult<String> {
     let width = end / HISTOGRAM_BINS as f64;
     let mut counts = [0_u32; HISTOGRAM_BINS];
     for value in values.iter().filter(|value| value.is_finite()) {
@@ -178,12 +178,7 @@ pub fn histogram(
 ///
 /// # Errors
 /// `FigureError` if the plotting backend fails.
-pub fn over_time(
-    heading: &Heading,
-    x: &str,
-    y: &str,
-    lines: &[Line],
-) -> Result<String, FigureError> {
+pub fn over_time(heading: &Heading, x: &str, y: &str, lines: &[Line]) -> FigureResult<String> {
     let all = || lines.iter().flat_map(|line| &line.places);
     let right = all().map(|at| at.0).fold(1e-6, f64::max);
     let (low, high) =

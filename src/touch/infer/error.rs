@@ -12,6 +12,9 @@ use crate::problem::{Problem, listed};
 use crate::simulate::model::ModelUnavailable;
 use crate::store::StoreError;
 
+/// Result of work on models and answers.
+pub type InferResult<T> = Result<T, InferError>;
+
 /// Why a model or an answer is not available.
 #[derive(Debug, thiserror::Error)]
 #[allow(missing_docs, reason = "the message names the fields")]

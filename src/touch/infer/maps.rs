@@ -4,7 +4,7 @@
 use sim_core::forward::Contact;
 
 use super::answer::{FoundContact, Reading};
-use super::error::InferError;
+use super::error::InferResult;
 use crate::dataset::force_map::{ForceMap, ForceMapSpec, TABLE_IV_MAPS};
 
 /// Map in which the contacts of methods without a map are drawn: the paper's Map 1, 160 x 160
@@ -36,7 +36,7 @@ impl ForceMaps {
 ///
 /// # Errors
 /// `InferError::Map` if the map does not fit the skin.
-pub fn draw(readings: &mut [Reading], skin_mm: [f64; 2]) -> Result<(), InferError> {
+pub fn draw(readings: &mut [Reading], skin_mm: [f64; 2]) -> InferResult<()> {
     if readings.iter().all(|reading| reading.force_map_n.is_some()) {
         return Ok(());
     }

@@ -4,7 +4,7 @@
 use std::sync::Arc;
 
 use super::answer::Reading;
-use super::error::InferError;
+use super::error::{InferError, InferResult};
 use super::maps::{ForceMaps, draw};
 use super::methods::exact::{ExactSkin, Tracked};
 use super::methods::fast::PointPipeline;
@@ -56,7 +56,7 @@ impl Pipeline {
     ///
     /// # Errors
     /// `InferError::OtherTask` if the net does not fit its slot.
-    pub fn with(mut self, model: Arc<Model>) -> Result<Self, InferError> {
+    pub fn with(mut self, model: Arc<Model>) -> InferResult<Self> {
         let slot = model.slot();
         match slot {
             Slot::Transfer => self.models.transfer = Some(model),
@@ -105,7 +105,7 @@ impl Pipeline {
     ///
     /// # Errors
     /// `InferError::NotServed` if a model is missing; `Map` if a map does not fit the skin.
-    pub fn ready(&self, method: Method) -> Result<Box<dyn ReadyMethod>, InferError> {
+    pub fn ready(&self, method: Method) -> InferResult<Box<dyn ReadyMethod>> {
         let mut models = self.models.clone();
         // The Transfer-Net remains promoted while an end-to-end net serves, which does not use it.
         models.transfer = models.transfer.filter(|_| self.uses_transfer());
@@ -130,7 +130,7 @@ impl Pipeline {
         method: Method,
         frames: &Frames<'_>,
         maps: ForceMaps,
-    ) -> Result<Answered, InferError> {
+    ) -> InferResult<Answered> {
         let ready = self.ready(method)?;
         let mut readings = ready.read(frames, maps)?;
         let limitation = ready.skin().and_then(|skin| skin.limitation);
@@ -145,7 +145,7 @@ impl Pipeline {
     ///
     /// # Errors
     /// `InferError::NotServed` if none does.
-    pub fn has_quantities(&self) -> Result<(), InferError> {
+    pub fn has_quantities(&self) -> InferResult<()> {
         match self.quantities.is_empty() {
             true => Err(InferError::NotServed {
                 method: "quantities",
@@ -159,7 +159,7 @@ impl Pipeline {
     ///
     /// # Errors
     /// `InferError::NotServed` if none serves; `Plan` if the frame is incomplete or not finite.
-    pub fn quantities(&self, frame: &[f32]) -> Result<AnsweredQuantities, InferError> {
+    pub fn quantities(&self, frame: &[f32]) -> InferResult<AnsweredQuantities> {
         self.has_quantities()?;
         let mut all = QuantityAnswer::default();
         for net in &self.quantities {
@@ -181,7 +181,7 @@ impl Pipeline {
         frame: &[f32],
         maps: ForceMaps,
         tracked: &mut Tracked,
-    ) -> Result<Followed, InferError> {
+    ) -> InferResult<Followed> {
         let ready = self.ready(method)?;
         let mut reading = ready.follow(frame, maps, tracked)?;
         if maps == ForceMaps::With {

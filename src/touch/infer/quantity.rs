@@ -5,7 +5,7 @@ use nets::quantity::Quantity;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use super::error::InferError;
+use super::error::InferResult;
 use super::registry::Model;
 
 /// The answer of a net to one frame; of the quantities, the one that it answers.
@@ -46,7 +46,7 @@ impl Model {
     ///
     /// # Errors
     /// `InferError::OtherTask` if it answers a map, a frame or points.
-    pub fn quantity(&self) -> Result<Quantity, InferError> {
+    pub fn quantity(&self) -> InferResult<Quantity> {
         let wanted = "a net that answers a position, pattern, count or force is needed";
         self.manifest.model.task.quantity().ok_or_else(|| self.of_other_task(wanted))
     }
@@ -56,7 +56,7 @@ impl Model {
     /// # Errors
     /// `InferError::OtherTask` if the net answers no quantity; `Plan` if frames are incomplete or not
     /// finite.
-    pub fn quantities(&self, frames: &[f32]) -> Result<Vec<QuantityAnswer>, InferError> {
+    pub fn quantities(&self, frames: &[f32]) -> InferResult<Vec<QuantityAnswer>> {
         let quantity = self.quantity()?;
         let facts = &self.manifest.model;
         let mut numbers = Vec::new();

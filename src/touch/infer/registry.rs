@@ -12,7 +12,7 @@ use std::sync::Arc;
 use parking_lot::Mutex;
 use sim_core::sensor::Sensor;
 
-use super::error::InferError;
+use super::error::{InferError, InferResult};
 use super::plan::Plan;
 use super::slot::Slot;
 use crate::clock::Clock;
@@ -55,7 +55,7 @@ impl NewModel {
     ///
     /// # Errors
     /// `InferError::Plan` if it cannot; `Worker` if the thread ended early.
-    pub async fn try_out(&self) -> Result<(), InferError> {
+    pub async fn try_out(&self) -> InferResult<()> {
         let (onnx, facts) = (self.onnx.clone(), self.manifest.model.clone());
         let trying = tokio::task::spawn_blocking(move || {
             Plan::load(&onnx, facts.channels, &facts.output_shape).map(|_| ())
@@ -67,7 +67,7 @@ impl NewModel {
     ///
     /// # Errors
     /// `InferError::Problems` if its sensor file is invalid; `Plan` if it cannot be run.
-    pub fn load(&self) -> Result<Model, InferError> {
+    pub fn load(&self) -> InferResult<Model> {
         let skin = ImportedSensor::from_toml(SENSOR_FILE, &self.sensor);
         let skin = skin.map_err(InferError::Problems)?;
         let ModelFacts { channels, output_shape, .. } = &self.manifest.model;
@@ -84,7 +84,7 @@ impl NewModel {
     ///
     /// # Errors
     /// `InferError::File` if a file cannot be written; `Json` if the residuals are not finite.
-    pub fn save(&self, folder: &Path) -> Result<(), InferError> {
+    pub fn save(&self, folder: &Path) -> InferResult<()> {
         let residuals = self.residuals.as_ref().map(serde_json::to_vec).transpose();
         let path = || folder.join(RESIDUALS);
         let residuals = residuals.map_err(|source| InferError::Json { path: path(), source })?;
@@ -135,7 +135,7 @@ impl Model {
     ///
     /// # Errors
     /// `InferError::OtherSensor` if it is not.
-    pub fn is_for(&self, sensor: &str, channels: usize) -> Result<(), InferError> {
+    pub fn is_for(&self, sensor: &str, channels: usize) -> InferResult<()> {
         let facts = &self.manifest.model;
         if facts.sensor == sensor && facts.channels == channels {
             return Ok(());
@@ -197,7 +197,7 @@ impl Registry {
     ///
     /// # Errors
     /// `InferError::File` if an incomplete folder cannot be removed.
-    pub fn open(store: Store, data: &Path, clock: Clock) -> Result<Self, InferError> {
+    pub fn open(store: Store, data: &Path, clock: Clock) -> InferResult<Self> {
         let folder = data.join("models");
         let entries = fs::read_dir(&folder).into_iter().flatten().flatten();
         for entry in entries.filter(|entry| entry.path().is_dir()) {
@@ -211,7 +211,7 @@ impl Registry {
     ///
     /// # Errors
     /// `InferError::File` if the folder cannot be written; `Store` if the row cannot.
-    pub async fn add(&self, new: NewModel) -> Result<ModelRow, InferError> {
+    pub async fn add(&self, new: NewModel) -> InferResult<ModelRow> {
         let row = ModelRow {
             id: new.manifest.id.clone(),
             name: new.name.clone(),
@@ -238,7 +238,7 @@ impl Registry {
     /// # Errors
     /// `InferError::NoModel` if there is none; `SeveralModels` if several ids begin like this; `Store` if the store
     /// fails.
-    pub async fn find(&self, id_or_name: &str) -> Result<ModelRow, InferError> {
+    pub async fn find(&self, id_or_name: &str) -> InferResult<ModelRow> {
         let promoted = match id_or_name.split_once('@') {
             Some((slot, sensor)) => self.inner.store.promoted(slot, sensor).await?,
             None => None,
@@ -254,7 +254,7 @@ impl Registry {
     ///
     /// # Errors
     /// `InferError` if there is no such model, or its files are damaged.
-    pub async fn load(&self, id_or_name: &str) -> Result<Arc<Model>, InferError> {
+    pub async fn load(&self, id_or_name: &str) -> InferResult<Arc<Model>> {
         let row = self.find(id_or_name).await?;
         let found = self.loaded(|models| {
             let at = models.iter().position(|model| model.manifest.id == row.id)?;
@@ -280,7 +280,7 @@ impl Registry {
     ///
     /// # Errors
     /// `InferError` if there is no such model, or it has no residuals.
-    pub async fn residuals(&self, id_or_name: &str) -> Result<Residuals, InferError> {
+    pub async fn residuals(&self, id_or_name: &str) -> InferResult<Residuals> {
         let row = self.find(id_or_name).await?;
         let path = self.folder(&row.id).join(RESIDUALS);
         let text = fs::read_to_string(&path).map_err(InferError::file("reading", &path))?;
@@ -308,7 +308,7 @@ impl Registry {
 }
 
 /// Returns the only model whose id begins with `start`: `mdl-` and at least 6 digits.
-fn only(models: Vec<ModelRow>, start: &str) -> Result<ModelRow, InferError> {
+fn only(models: Vec<ModelRow>, start: &str) -> InferResult<ModelRow> {
     let is_start = start.len() >= ID_START_MIN_CHARS && start.starts_with("mdl-");
     let begins = |row: &ModelRow| is_start && row.id.as_str().starts_with(start);
     let mut found: Vec<ModelRow> = models.into_iter().filter(begins).collect();
@@ -319,7 +319,7 @@ fn only(models: Vec<ModelRow>, start: &str) -> Result<ModelRow, InferError> {
     found.pop().ok_or_else(|| InferError::NoModel(start.into()))
 }
 
-fn read(folder: &Path, row: &ModelRow) -> Result<Model, InferError> {
+fn read(folder: &Path, row: &ModelRow) -> InferResult<Model> {
     let text = |name: &str| {
         let path = folder.join(name);
         fs::read_to_string(&path).map_err(InferError::file("reading", &path))

@@ -13,7 +13,7 @@ use parking_lot::RwLock;
 use sim_core::sensor::Sensor;
 use tokio::sync::watch;
 
-use super::error::InferError;
+use super::error::{InferError, InferResult};
 use super::methods::Method;
 use super::methods::exact::ExactSkin;
 use super::methods::exact::skins::Skins;
@@ -105,7 +105,7 @@ impl Serving {
     ///
     /// # Errors
     /// `InferError::Store` if the store fails.
-    pub async fn promoted_skin(&self) -> Result<Option<CalibrationId>, InferError> {
+    pub async fn promoted_skin(&self) -> InferResult<Option<CalibrationId>> {
         let promoted = self.promotions().await?.serving(self.rig(), Slot::Skin);
         Ok(promoted.and_then(|what| match what {
             PromotedId::Calibration(id) => Some(id),
@@ -180,7 +180,7 @@ impl Serving {
     ///
     /// # Errors
     /// `InferError::Store` if the store fails.
-    pub async fn promotions(&self) -> Result<Promotions, InferError> {
+    pub async fn promotions(&self) -> InferResult<Promotions> {
         let mut rows = self.inner.store.promotions().await?;
         rows.iter_mut().for_each(|row| row.sensor = row.sensor.take().or(Some(self.rig().into())));
         Ok(Promotions(rows))
@@ -197,7 +197,7 @@ impl Serving {
         id_or_name: &str,
         who: &str,
         why: Option<&str>,
-    ) -> Result<(String, Slot), InferError> {
+    ) -> InferResult<(String, Slot)> {
         let _one_at_a_time = self.inner.changing.lock().await;
         let (sensor, slot, what) = if let Ok(id) = id_or_name.parse() {
             (self.rig().to_owned(), Slot::Skin, PromotedId::Calibration(id))
@@ -225,7 +225,7 @@ impl Serving {
         slot: Slot,
         who: &str,
         why: Option<&str>,
-    ) -> Result<(), InferError> {
+    ) -> InferResult<()> {
         let _one_at_a_time = self.inner.changing.lock().await;
         let earlier = self.promotions().await?.earlier(sensor, slot);
         let earlier = earlier.ok_or(InferError::NoEarlier(slot.name()))?;
@@ -243,7 +243,7 @@ impl Serving {
         sensor: &str,
         slot: Slot,
         what: Option<&PromotedId>,
-    ) -> Result<Arc<Pipeline>, InferError> {
+    ) -> InferResult<Arc<Pipeline>> {
         let current = self.current().as_ref().clone();
         let next = match what {
             Some(PromotedId::Model(id)) if sensor != self.rig() => {
@@ -270,10 +270,7 @@ impl Serving {
     ///
     /// # Errors
     /// `InferError` if there is no such calibration or the skin cannot be prepared.
-    pub async fn skin(
-        &self,
-        calibration: Option<&CalibrationId>,
-    ) -> Result<Arc<ExactSkin>, InferError> {
+    pub async fn skin(&self, calibration: Option<&CalibrationId>) -> InferResult<Arc<ExactSkin>> {
         if let Some(serves) = self.current().skin()
             && serves.calibration() == calibration
         {

@@ -8,6 +8,9 @@ use crate::learn::error::LearnError;
 use crate::problem::{Problem, listed};
 use crate::store::StoreError;
 
+/// Result of work on jobs.
+pub type JobResult<T> = Result<T, JobError>;
+
 /// Why a job is rejected, or failed.
 #[derive(Debug, thiserror::Error)]
 pub enum JobError {

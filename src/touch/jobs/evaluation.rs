@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use serde_json::Value;
 
-use super::error::JobError;
+use super::error::{JobError, JobResult};
 use super::gathered::{Gathered, first_frames};
 use super::scoring::{Reader, Scoring};
 use super::{Jobs, Watch};
@@ -26,7 +26,7 @@ pub(super) async fn run(
     jobs: &Jobs,
     job: &TaskRow,
     watch: &Arc<Watch>,
-) -> Result<Option<Value>, JobError> {
+) -> JobResult<Option<Value>> {
     let request: EvaluationRequest =
         serde_json::from_value(job.request.clone()).map_err(JobError::Json)?;
     request.check()?;
@@ -51,7 +51,7 @@ pub(super) async fn scoring(
     reader: Reader,
     dataset: DatasetRow,
     watch: &Arc<Watch>,
-) -> Result<Scoring, JobError> {
+) -> JobResult<Scoring> {
     let file = jobs.inner.datasets.used(&dataset.id);
     watch.phase("gathering frames", dataset.rows);
     let scratch = jobs.inner.data.join("cache");
@@ -97,7 +97,7 @@ pub(super) async fn scoring(
     })
 }
 
-async fn reader(jobs: &Jobs, request: &EvaluationRequest) -> Result<Reader, JobError> {
+async fn reader(jobs: &Jobs, request: &EvaluationRequest) -> JobResult<Reader> {
     let models = &jobs.inner.models;
     let load = async |name: &Option<String>| match name {
         Some(name) => models.load(name).await.map(Some),
@@ -138,7 +138,7 @@ async fn held_out(
     reader: &Reader,
     dataset: &DatasetRow,
     part: Option<&str>,
-) -> Result<bool, JobError> {
+) -> JobResult<bool> {
     let scored = Made { definition: &dataset.definition, lineage: &dataset.lineage };
     for id in reader.nets().iter().flat_map(|net| &net.manifest.model.datasets) {
         // The lineage of an unknown dataset is unknown.
@@ -155,7 +155,7 @@ async fn held_out(
 pub(super) async fn skin(
     jobs: &Jobs,
     request: &EvaluationRequest,
-) -> Result<Option<CalibrationId>, JobError> {
+) -> JobResult<Option<CalibrationId>> {
     match &request.skin {
         Some(skin) => Ok(Some(skin.clone())),
         None => Ok(jobs.inner.serving.promoted_skin().await?),

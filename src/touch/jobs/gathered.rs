@@ -3,7 +3,7 @@
 
 use std::path::Path;
 
-use super::error::JobError;
+use super::error::JobResult;
 use crate::dataset::import::sensor::ImportedSensor;
 use crate::dataset::read::sensor_text;
 use crate::dataset::split::Part;
@@ -33,7 +33,7 @@ impl Gathered {
         request: &EvaluationRequest,
         columns: &'static [&'static str],
         scratch: &Path,
-    ) -> Result<Self, JobError> {
+    ) -> JobResult<Self> {
         let skin = ImportedSensor::from_toml("sensor", &sensor_text(file)?)?;
         let examples = Examples::gather(file, &request.conditions, columns, scratch)?;
         let mut rows = match &request.part {
@@ -68,7 +68,7 @@ impl Gathered {
 /// # Errors
 /// `JobError::Learn` if a row has no raw frames in the store and is the mean of several; `Store` if the store
 /// fails.
-pub async fn first_frames(store: &Store, gathered: &Gathered) -> Result<Vec<Vec<f32>>, JobError> {
+pub async fn first_frames(store: &Store, gathered: &Gathered) -> JobResult<Vec<Vec<f32>>> {
     let mut firsts = Vec::with_capacity(gathered.rows.len());
     for &row in &gathered.rows {
         let id = gathered.examples.trial_id(row);

@@ -36,7 +36,7 @@ mod trainer;
 mod training;
 mod watch_job;
 
-pub use error::JobError;
+pub use error::{JobError, JobResult};
 pub use training::TrainingRequest;
 pub use watch_job::{Progress, Watch};
 
@@ -78,11 +78,7 @@ impl Jobs {
     ///
     /// # Errors
     /// `JobError` if the recipe is invalid, the queue is full, or the store fails.
-    pub async fn train(
-        &self,
-        request: &TrainingRequest,
-        asked_by: &str,
-    ) -> Result<TaskRow, JobError> {
+    pub async fn train(&self, request: &TrainingRequest, asked_by: &str) -> JobResult<TaskRow> {
         Recipe::from_toml("recipe", &request.recipe)?;
         let request = serde_json::to_value(request).map_err(JobError::Json)?;
         self.ask(TaskKind::Training, request, asked_by).await
@@ -96,13 +92,13 @@ impl Jobs {
         &self,
         request: &EvaluationRequest,
         asked_by: &str,
-    ) -> Result<TaskRow, JobError> {
+    ) -> JobResult<TaskRow> {
         request.check()?;
         let request = serde_json::to_value(request).map_err(JobError::Json)?;
         self.ask(TaskKind::Evaluation, request, asked_by).await
     }
 
-    async fn ask(&self, kind: TaskKind, request: Value, who: &str) -> Result<TaskRow, JobError> {
+    async fn ask(&self, kind: TaskKind, request: Value, who: &str) -> JobResult<TaskRow> {
         if self.inner.queue.is_full(WAITING_JOBS_MAX).await? {
             return Err(JobError::Full(WAITING_JOBS_MAX));
         }
@@ -113,7 +109,7 @@ impl Jobs {
     ///
     /// # Errors
     /// `JobError::Store` if the store fails.
-    pub async fn stop(&self, id: TaskId) -> Result<(), JobError> {
+    pub async fn stop(&self, id: TaskId) -> JobResult<()> {
         Ok(self.inner.queue.stop(id, Watch::stop).await?)
     }
 

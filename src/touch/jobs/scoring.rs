@@ -10,7 +10,7 @@ use serde_json::Value;
 use sim_core::stats::{quantile, sorted};
 
 use super::Watch;
-use super::error::JobError;
+use super::error::JobResult;
 use super::gathered::Gathered;
 use super::readings::frames::FrameInput;
 use crate::clock::Clock;
@@ -28,7 +28,7 @@ use crate::evaluate::touch::{Metric, Touch, TouchError};
 use crate::evaluate::voltages::VoltageScores;
 use crate::ids::{DatasetId, TrialId};
 use crate::infer::answer::{FoundContact, Reading};
-use crate::infer::error::InferError;
+use crate::infer::error::{InferError, InferResult};
 use crate::infer::maps::ForceMaps;
 use crate::infer::methods::ReadyMethod;
 use crate::infer::registry::Model;
@@ -105,7 +105,7 @@ impl Scoring {
     ///
     /// # Errors
     /// `JobError` if the models are for another sensor, a row cannot be read, or a model cannot answer.
-    pub(super) fn run(self) -> Result<Option<EvaluationReport>, JobError> {
+    pub(super) fn run(self) -> JobResult<Option<EvaluationReport>> {
         self.check_sensor()?;
         let mut report = self.blank();
         self.watch.phase("scoring", self.gathered.rows.len() as u64);
@@ -118,7 +118,7 @@ impl Scoring {
     }
 
     /// Checks that the models are for the sensor of the rows.
-    fn check_sensor(&self) -> Result<(), InferError> {
+    fn check_sensor(&self) -> InferResult<()> {
         let here = &self.gathered.skin;
         for net in self.reader.nets() {
             net.is_for(&here.name, here.channels)?;
@@ -197,11 +197,7 @@ impl Scoring {
     }
 
     /// Scores voltages; returns `false` if it was stopped.
-    fn voltages(
-        &self,
-        transfer: Option<&Model>,
-        report: &mut EvaluationReport,
-    ) -> Result<bool, JobError> {
+    fn voltages(&self, transfer: Option<&Model>, report: &mut EvaluationReport) -> JobResult<bool> {
         let examples = &self.gathered.examples;
         let channels = examples.channels;
         let began_s = self.clock.process_s();
@@ -235,7 +231,7 @@ impl Scoring {
         net: &Model,
         quantity: Quantity,
         report: &mut EvaluationReport,
-    ) -> Result<bool, JobError> {
+    ) -> JobResult<bool> {
         let began_s = self.clock.process_s();
         let mut answers = Vec::new();
         for (at, rows) in self.gathered.rows.chunks(TRANSFERRED_AT_ONCE).enumerate() {
@@ -257,11 +253,7 @@ impl Scoring {
     }
 
     /// Scores contacts; returns `false` if it was stopped.
-    fn contacts(
-        &self,
-        method: &dyn ReadyMethod,
-        report: &mut EvaluationReport,
-    ) -> Result<bool, JobError> {
+    fn contacts(&self, method: &dyn ReadyMethod, report: &mut EvaluationReport) -> JobResult<bool> {
         let began_s = self.clock.process_s();
         let (mut touches, mut judged, mut latencies) = (Vec::new(), Vec::new(), Vec::new());
         let mut calibrated = 0;
@@ -317,7 +309,7 @@ impl Scoring {
     }
 
     /// Compares contacts of an answer with those of its row.
-    fn touch(&self, row: u32, found: &[FoundContact]) -> Result<Touch, JobError> {
+    fn touch(&self, row: u32, found: &[FoundContact]) -> JobResult<Touch> {
         let touch = Touch::of_found(&self.truths(row), found, self.distances().ghost_mm);
         let wrong = |e: TouchError| LearnError::value("evaluation", "row", row, &e.to_string());
         Ok(touch.map_err(wrong)?)
@@ -325,7 +317,7 @@ impl Scoring {
 
     /// Whether an answer, or one of its alternatives, is right; `None` if it states no probability, or a
     /// position is unknown.
-    fn judged(&self, row: u32, reading: &Reading) -> Result<Option<JudgedAnswer>, JobError> {
+    fn judged(&self, row: u32, reading: &Reading) -> JobResult<Option<JudgedAnswer>> {
         let Some(probability) = reading.probability else { return Ok(None) };
         let Some(right) = self.touch(row, &reading.contacts)?.is_right() else { return Ok(None) };
         let mut any_right = right;
@@ -353,13 +345,13 @@ impl Scoring {
     ///
     /// # Errors
     /// `JobError::Learn` if a row cannot be read.
-    pub(super) fn inputs(&self) -> Result<Vec<FrameInput>, JobError> {
+    pub(super) fn inputs(&self) -> JobResult<Vec<FrameInput>> {
         let rows = self.gathered.rows.iter().enumerate();
         rows.map(|(at, &row)| self.input(at, row)).collect()
     }
 
     /// The frame of the row at a place, with what is known of it.
-    fn input(&self, at: usize, row: u32) -> Result<FrameInput, JobError> {
+    fn input(&self, at: usize, row: u32) -> JobResult<FrameInput> {
         let trial = self.gathered.examples.trial_id(row);
         Ok(FrameInput {
             voltages_v: self.frames(at, &[row])?,
@@ -369,7 +361,7 @@ impl Scoring {
     }
 
     /// Frames of rows, V, one after the other.
-    fn frames(&self, first: usize, rows: &[u32]) -> Result<Vec<f32>, JobError> {
+    fn frames(&self, first: usize, rows: &[u32]) -> JobResult<Vec<f32>> {
         if let Some(raw) = &self.raw {
             return Ok(raw[first..first + rows.len()].concat());
         }

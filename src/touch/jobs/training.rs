@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 use utoipa::ToSchema;
 
-use super::error::JobError;
+use super::error::{JobError, JobResult};
 use super::kept;
 use super::starts::Starts;
 use super::trainer::{self, Ended};
@@ -48,11 +48,7 @@ pub struct TrainingRequest {
 ///
 /// # Errors
 /// `JobError` if the dataset, the training or the storage of the model fails.
-pub async fn run(
-    jobs: &Jobs,
-    job: &TaskRow,
-    watch: &Arc<Watch>,
-) -> Result<Option<Value>, JobError> {
+pub async fn run(jobs: &Jobs, job: &TaskRow, watch: &Arc<Watch>) -> JobResult<Option<Value>> {
     let folder = jobs.folder(job.id);
     let (recipe, order) = prepare(jobs, job, watch, &folder).await?;
     let text = serde_json::to_string(&order).map_err(JobError::Json)?;
@@ -88,7 +84,7 @@ async fn prepare(
     job: &TaskRow,
     watch: &Watch,
     folder: &Path,
-) -> Result<(Recipe, Order), JobError> {
+) -> JobResult<(Recipe, Order)> {
     let request: TrainingRequest =
         serde_json::from_value(job.request.clone()).map_err(JobError::Json)?;
     let mut recipe = Recipe::from_toml("recipe", &request.recipe)?;
@@ -222,7 +218,7 @@ fn show(event: Event, watch: &Watch, starts: &Starts) {
 ///
 /// # Errors
 /// `JobError` if a file is missing or invalid, or of another order.
-pub(super) fn result(folder: &Path, order: &Order, name: String) -> Result<NewModel, JobError> {
+pub(super) fn result(folder: &Path, order: &Order, name: String) -> JobResult<NewModel> {
     let path = |name: &str| folder.join(name);
     let read = |name: &str| {
         fs::read_to_string(path(name)).map_err(LearnError::file("reading", &path(name)))

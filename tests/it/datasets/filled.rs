@@ -23,7 +23,7 @@ use serde_json::{Value, json};
 use tokio::sync::OnceCell;
 
 use crate::support::{
-    SENSOR, VIRTUAL_RIG, copy_folder, http, sensor, serve_options, until, with_responses,
+    SENSOR, VIRTUAL_RIG, answered, copy_folder, http, sensor, serve_options, until, with_responses,
 };
 
 /// Configurations of the Real-Hex run; each third is one that was drawn before.
@@ -338,9 +338,7 @@ impl Filled {
 
     /// A POST: its status and its body.
     pub async fn post(&self, path: &str, body: Value) -> (u16, Value) {
-        let answer = self.http.post(self.url(path)).json(&body).send().await.unwrap();
-        let status = answer.status().as_u16();
-        (status, answer.json().await.unwrap_or(Value::Null))
+        answered(self.http.post(self.url(path)).json(&body)).await
     }
 
     /// A POST that must have this status: its body.

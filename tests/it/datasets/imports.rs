@@ -19,6 +19,7 @@ use palpate::dataset::space::KEPT_FREE_BYTES;
 use palpate::store::{Label, TrialQuery};
 
 use super::filled::{Filled, folder, store};
+use crate::support::answered;
 
 pub const PAD: &str = "name = \"pad\"\nchannels = 4\nwidth_mm = 100\nheight_mm = 80\n";
 
@@ -69,8 +70,7 @@ pub async fn import(lab: &Filled, file: Vec<u8>, sensor: &str) -> (u16, Value) {
         .part("sensor", Part::text(sensor.to_owned()).file_name("pad.toml"))
         .text("name", "pad-study")
         .text("label", "measured");
-    let answer = lab.http.post(lab.url("/api/v1/imports")).multipart(form).send().await.unwrap();
-    (answer.status().as_u16(), answer.json().await.unwrap())
+    answered(lab.http.post(lab.url("/api/v1/imports")).multipart(form)).await
 }
 
 fn good() -> Vec<(&'static str, ArrayRef)> {

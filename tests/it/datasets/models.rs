@@ -8,7 +8,7 @@ use serde_json::{Value, json};
 
 use super::filled::Filled;
 use super::imports::{PAD, frames, import, lists, parquet};
-use crate::support::SENSOR;
+use crate::support::{SENSOR, answered};
 
 /// Longest wait for a job.
 const LIMIT: Duration = Duration::from_secs(120);
@@ -139,7 +139,7 @@ async fn nets_are_trained_scored_promoted_and_asked() {
         .post(lab.url("/api/v1/infer?method=paper&map=true"))
         .header("content-type", "application/octet-stream")
         .body(bytes);
-    let raw: Value = raw.send().await.unwrap().json().await.unwrap();
+    let (_, raw) = answered(raw).await;
     assert_eq!(raw[0]["force_map_n"], answers[0]["force_map_n"]);
 
     let data = lab.end().await;
@@ -226,9 +226,8 @@ async fn what_cannot_be_is_named_and_changes_nothing() {
             .post(lab.url("/api/v1/infer?method=fast"))
             .header("content-type", "application/octet-stream")
             .body(bytes);
-        let answer = request.send().await.unwrap();
-        assert_eq!(answer.status(), 422);
-        let body: Value = answer.json().await.unwrap();
+        let (status, body) = answered(request).await;
+        assert_eq!(status, 422, "{body}");
         assert!(body["detail"].as_str().unwrap().contains(words), "{words}: {body}");
     }
 
@@ -242,8 +241,7 @@ async fn what_cannot_be_is_named_and_changes_nothing() {
             .text("sensor", sensor)
             .text("facts", facts)
             .text("name", "mine");
-        let answer = lab.http.post(lab.url("/api/v1/models")).multipart(form).send().await.unwrap();
-        (answer.status().as_u16(), answer.json::<Value>().await.unwrap())
+        answered(lab.http.post(lab.url("/api/v1/models")).multipart(form)).await
     };
     for (file, facts, words) in [
         (onnx[..onnx.len() / 2].to_vec(), facts.to_owned(), "ONNX"),

@@ -1,7 +1,7 @@
 //! Training, of every kind of net and as a process.
 
 use nets::compute::Compute;
-use nets::error::SamplesError;
+use nets::error::SamplesResult;
 use nets::progress::{Flow, Observer, Plan, Progress};
 use nets::recipe::Recipe;
 use nets::samples::Samples;
@@ -64,7 +64,7 @@ impl Samples for Rows {
     fn target_len(&self) -> usize {
         self.targets[0].len()
     }
-    fn read(&self, samples: &[u64], x: &mut [f32], y: &mut [f32]) -> Result<(), SamplesError> {
+    fn read(&self, samples: &[u64], x: &mut [f32], y: &mut [f32]) -> SamplesResult<()> {
         for (nth, &sample) in samples.iter().enumerate() {
             let (input, target) = (&self.inputs[sample as usize], &self.targets[sample as usize]);
             x[nth * input.len()..][..input.len()].copy_from_slice(input);

@@ -3,7 +3,7 @@
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
-use nets::error::{CheckpointError, SamplesError, TrainError};
+use nets::error::{CheckpointError, SamplesError, SamplesResult, TrainError};
 use nets::network::Layer;
 use nets::progress::{End, Flow, Observer, Plan, Progress, Trained};
 use nets::samples::Samples;
@@ -246,7 +246,7 @@ impl Samples for Counted<'_> {
     fn target_len(&self) -> usize {
         self.rows.target_len()
     }
-    fn read(&self, samples: &[u64], x: &mut [f32], y: &mut [f32]) -> Result<(), SamplesError> {
+    fn read(&self, samples: &[u64], x: &mut [f32], y: &mut [f32]) -> SamplesResult<()> {
         self.read.fetch_add(samples.len() as u64, Ordering::SeqCst);
         let samples: Vec<u64> = samples.iter().map(|s| s % self.rows.len()).collect();
         self.rows.read(&samples, x, y)

@@ -12,7 +12,7 @@
 use super::basis::Projected;
 use super::dense::{cholesky, dot, solve};
 use super::shapes::Place;
-use crate::forward::ContactError;
+use crate::forward::ContactResult;
 
 /// Number of parameters of a contact.
 pub(super) const EACH: usize = 3;
@@ -77,7 +77,7 @@ pub(super) trait Predict {
         places: &[Place],
         z: &mut Vec<f64>,
         slopes: &mut Vec<f64>,
-    ) -> Result<(), ContactError>;
+    ) -> ContactResult<()>;
 }
 
 /// The fitted frame, whitened, and the prior.
@@ -179,7 +179,7 @@ pub(super) fn descend(
     places: &mut [Place],
     effort: Effort,
     work: &mut DescentWork,
-) -> Result<Optimum, ContactError> {
+) -> ContactResult<Optimum> {
     let prior = problem.prior;
     places.iter_mut().for_each(|p| *p = prior.clamp(*p));
     model.predict(places, &mut work.z, &mut work.slopes)?;

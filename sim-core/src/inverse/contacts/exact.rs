@@ -6,7 +6,7 @@ use super::basis::Basis;
 use super::descent::{DescentWork, EACH, Predict};
 use super::shapes::{Place, contact};
 use super::whitener::Whitener;
-use crate::forward::{Contact, ContactError, ForwardModel};
+use crate::forward::{Contact, ContactResult, ForwardModel};
 use crate::jacobian::JacobianWork;
 
 /// Memory of exact frames and of descents on them.
@@ -53,7 +53,7 @@ impl Predict for Exact<'_> {
         places: &[Place],
         z: &mut Vec<f64>,
         slopes: &mut Vec<f64>,
-    ) -> Result<(), ContactError> {
+    ) -> ContactResult<()> {
         let Memory { jacobian, contacts, scratch } = &mut *self.memory;
         contacts.clear();
         contacts.extend(places.iter().map(|&place| contact(place)));

@@ -21,7 +21,7 @@ pub mod steady;
 mod whitener;
 
 use crate::batch::{BatchError, BatchModel, BatchWork, Kernel};
-use crate::forward::{Contact, ContactError, ForwardModel, Workspace};
+use crate::forward::{Contact, ContactResult, ForwardModel, Workspace};
 use basis::{Basis, Projected};
 use descent::{EACH, Effort, Optimum, Predict, Prior, Problem, Spread, descend};
 pub use error::{ErrorModel, ErrorModelError, FramePair};
@@ -142,7 +142,7 @@ impl ContactFitter {
         observation: &Observation<'_>,
         fit: &mut Fit,
         work: &mut FitWork,
-    ) -> Result<(), ContactError> {
+    ) -> ContactResult<()> {
         let scores: Vec<f64> = hypotheses.iter().map(|h| h.score).collect();
         let shares = shares(&scores);
         let Some(&best) = shares.first() else { return Ok(()) };
@@ -244,11 +244,7 @@ impl ContactFitter {
         Ok(())
     }
 
-    fn search(
-        &self,
-        starts: &[Vec<Place>],
-        work: &mut FitWork,
-    ) -> Result<Vec<Hypothesis>, ContactError> {
+    fn search(&self, starts: &[Vec<Place>], work: &mut FitWork) -> ContactResult<Vec<Hypothesis>> {
         let search = Search {
             model: &self.model,
             shapes: &self.shapes,
@@ -262,11 +258,7 @@ impl ContactFitter {
 
     /// Compares hypotheses with the exact model, corrects the table's sums by the difference, and
     /// fits the hypotheses again. The result is sorted, best first, without duplicates.
-    fn approach(
-        &self,
-        hypotheses: &mut Vec<Hypothesis>,
-        work: &mut FitWork,
-    ) -> Result<(), ContactError> {
+    fn approach(&self, hypotheses: &mut Vec<Hypothesis>, work: &mut FitWork) -> ContactResult<()> {
         let channels = self.batch.frame_len();
         let (mut lacks, mut sum, mut slopes) = (Vec::new(), Vec::new(), Vec::new());
         for _ in 0..COMPARISONS {
@@ -318,7 +310,7 @@ impl ContactFitter {
         places: &mut [Place],
         effort: Effort,
         work: &mut FitWork,
-    ) -> Result<Optimum, ContactError> {
+    ) -> ContactResult<Optimum> {
         let Projected { z, whitener, .. } = &work.frame;
         let (mut model, descent) = work.exact.model(&self.model, &self.basis, whitener);
         let problem = Problem { z, prior: &self.prior };
@@ -332,7 +324,7 @@ impl ContactFitter {
         observation: &Observation<'_>,
         effort: Effort,
         work: &mut FitWork,
-    ) -> Result<Fit, ContactError> {
+    ) -> ContactResult<Fit> {
         let optimum = self.finish(&mut places, effort, work)?;
         let spreads = work.exact.descent().spreads(places.len(), &work.frame);
         let mut contacts: Vec<FittedContact> = places

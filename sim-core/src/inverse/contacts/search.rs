@@ -12,7 +12,7 @@ use super::dense::{PAD, dot};
 use super::descent::{DescentWork, EACH, Effort, Predict, Prior, Problem, descend};
 use super::shapes::{Place, Shapes};
 use super::whitener::Whitener;
-use crate::forward::{ContactError, ForwardModel};
+use crate::forward::{ContactResult, ForwardModel};
 
 /// Number of hypotheses of each count that are extended.
 const BEAM: usize = 4;
@@ -64,7 +64,7 @@ impl Predict for Sum<'_> {
         places: &[Place],
         z: &mut Vec<f64>,
         slopes: &mut Vec<f64>,
-    ) -> Result<(), ContactError> {
+    ) -> ContactResult<()> {
         z.clear();
         z.resize(self.lacks.len(), 0.0);
         slopes.resize(z.len() * EACH * places.len(), 0.0);
@@ -97,7 +97,7 @@ impl Search<'_> {
         &self,
         starts: &[Vec<Place>],
         work: &mut SearchWork,
-    ) -> Result<Vec<Hypothesis>, ContactError> {
+    ) -> ContactResult<Vec<Hypothesis>> {
         work.sites.clear();
         for site in 0..self.shapes.sites_mm().len() {
             let row = self.shapes.of_site(site, SITE_N.ln());
@@ -143,7 +143,7 @@ impl Search<'_> {
         mut places: Vec<Place>,
         levels: &mut [Vec<Hypothesis>],
         work: &mut SearchWork,
-    ) -> Result<(), ContactError> {
+    ) -> ContactResult<()> {
         let Some(level) = levels.get_mut(places.len()) else { return Ok(()) };
         let mut sum = self.sum();
         let problem = self.problem();
@@ -173,11 +173,7 @@ impl Search<'_> {
     }
 
     /// The hypotheses with one further contact, at the sites with the largest gain.
-    fn grown(
-        &self,
-        parent: &Hypothesis,
-        work: &mut SearchWork,
-    ) -> Result<Vec<Vec<Place>>, ContactError> {
+    fn grown(&self, parent: &Hypothesis, work: &mut SearchWork) -> ContactResult<Vec<Vec<Place>>> {
         self.gains(&parent.places, work)?;
         let mut children: Vec<Vec<Place>> = Vec::with_capacity(PICKS);
         let sites = self.shapes.sites_mm();
@@ -202,7 +198,7 @@ impl Search<'_> {
 
     /// For every site: the decrease of the misfit by a contact there, to first order and with the
     /// other contacts adapting, and its strength.
-    fn gains(&self, places: &[Place], work: &mut SearchWork) -> Result<(), ContactError> {
+    fn gains(&self, places: &[Place], work: &mut SearchWork) -> ContactResult<()> {
         let mut places = places.to_vec();
         let mut sum = self.sum();
         let stay = Effort { iterations: 1, tolerance: 0.0 };

@@ -18,7 +18,7 @@ use std::sync::Arc;
 use faer::linalg::solvers::Solve;
 use faer::{Mat, Side};
 
-use crate::forward::{Contact, ContactError, ForwardModel, ModelError, Workspace};
+use crate::forward::{Contact, ContactError, ContactResult, ForwardModel, ModelError, Workspace};
 use crate::jacobian::Field;
 use crate::mesh::Mesh;
 use crate::responses::UnitResponses;
@@ -430,7 +430,7 @@ pub fn noise_v(trials: &[MeasuredTrial]) -> Option<f64> {
 ///
 /// # Errors
 /// `ContactError` if the model rejects a contact.
-pub fn fvus(model: &ForwardModel, trials: &[MeasuredTrial]) -> Result<Vec<f64>, ContactError> {
+pub fn fvus(model: &ForwardModel, trials: &[MeasuredTrial]) -> ContactResult<Vec<f64>> {
     let mut work = Workspace::default();
     let mut of = |t: &MeasuredTrial| {
         let modelled_v = model.voltages(&t.contacts, &mut work)?;

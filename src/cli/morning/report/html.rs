@@ -15,7 +15,7 @@ use crate::cli::output::{counted, duration, grouped};
 use crate::cli::summary::table_one;
 use crate::cli::table::or_dash;
 use crate::cli::times::second;
-use crate::evaluate::figures::FigureError;
+use crate::evaluate::figures::FigureResult;
 use crate::event::{Importance, shown_kind};
 use crate::state::StoredState;
 
@@ -28,7 +28,7 @@ const WORST: usize = 10;
 ///
 /// # Errors
 /// `FigureError` if a figure cannot be drawn.
-pub fn page(facts: &Facts, now: Timestamp) -> Result<String, FigureError> {
+pub fn page(facts: &Facts, now: Timestamp) -> FigureResult<String> {
     let run = facts.run();
     let title = format!("Run {}, {} ({})", run.scan_id, run.experiment, run.label.as_str());
     let mut page = format!(
@@ -88,7 +88,7 @@ fn look(page: &mut String, facts: &Facts) {
     page.push_str("</section>\n");
 }
 
-fn measured(page: &mut String, facts: &Facts, now: Timestamp) -> Result<(), FigureError> {
+fn measured(page: &mut String, facts: &Facts, now: Timestamp) -> FigureResult<()> {
     let (run, summary) = (facts.run(), &facts.summary);
     page.push_str("<section><h2>Planned and measured</h2>\n<div class=\"columns\">\n");
     let (took, stored) = (elapsed(run, now), summary.trials_stored);
@@ -184,7 +184,7 @@ fn happened(page: &mut String, facts: &Facts) {
     page.push_str("</section>\n");
 }
 
-fn fit(page: &mut String, facts: &Facts) -> Result<(), FigureError> {
+fn fit(page: &mut String, facts: &Facts) -> FigureResult<()> {
     let plots = plots::twins(facts)?;
     page.push_str("<section><h2>Twins</h2>\n");
     let twins = &facts.twins;

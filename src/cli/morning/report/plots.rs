@@ -11,7 +11,7 @@ use crate::api::forces_by_depth;
 use crate::cli::output::{counted, grouped};
 use crate::cli::summary::table_one;
 use crate::evaluate::charts::Line;
-use crate::evaluate::figures::{FigureError, map};
+use crate::evaluate::figures::{FigureResult, map};
 use crate::evaluate::run_figures::{Band, Contacts, bands, contacts, histogram, over_time};
 use crate::figure::Heading;
 
@@ -38,7 +38,7 @@ fn plot(svg: String, caption: impl Into<String>) -> Plot {
 ///
 /// # Errors
 /// `FigureError` if a figure cannot be drawn.
-pub fn forces(facts: &Facts) -> Result<Vec<Plot>, FigureError> {
+pub fn forces(facts: &Facts) -> FigureResult<Vec<Plot>> {
     let label = facts.run().label.as_str();
     let mut plots = Vec::new();
     let mut by_tips = BTreeMap::<u8, Vec<(f64, f64)>>::new();
@@ -95,7 +95,7 @@ fn curves<'a>(named: impl Iterator<Item = (String, &'a Vec<(f64, f64)>)>) -> Vec
 ///
 /// # Errors
 /// `FigureError` if the figure cannot be drawn.
-pub fn counts(facts: &Facts) -> Result<Option<Plot>, FigureError> {
+pub fn counts(facts: &Facts) -> FigureResult<Option<Plot>> {
     let (run, here) = (facts.run(), facts.summary.contact_counts);
     let stored: u64 = here.iter().sum();
     if stored == 0 {
@@ -121,7 +121,7 @@ pub fn counts(facts: &Facts) -> Result<Option<Plot>, FigureError> {
 ///
 /// # Errors
 /// `FigureError` if a figure cannot be drawn.
-pub fn twins(facts: &Facts) -> Result<Vec<Plot>, FigureError> {
+pub fn twins(facts: &Facts) -> FigureResult<Vec<Plot>> {
     let label = facts.run().label.as_str();
     let values: Vec<f64> =
         facts.trials.iter().filter(|t| t.contact_count > 0).filter_map(|t| t.fvu).collect();
@@ -147,7 +147,7 @@ pub fn twins(facts: &Facts) -> Result<Vec<Plot>, FigureError> {
 ///
 /// # Errors
 /// `FigureError` if a figure cannot be drawn.
-pub fn drift(facts: &Facts) -> Result<Vec<Plot>, FigureError> {
+pub fn drift(facts: &Facts) -> FigureResult<Vec<Plot>> {
     let label = facts.run().label.as_str();
     let x = format!("time since the start ({})", facts.time_unit().0);
     let mut plots = Vec::new();
@@ -195,7 +195,7 @@ pub fn drift(facts: &Facts) -> Result<Vec<Plot>, FigureError> {
 }
 
 /// Medians of the FVU over time, trials with contacts, by the number of tips.
-fn fit_over_time(facts: &Facts) -> Result<Option<Plot>, FigureError> {
+fn fit_over_time(facts: &Facts) -> FigureResult<Option<Plot>> {
     let mut by_tips = BTreeMap::<u8, Vec<(f64, f64)>>::new();
     for trial in facts.trials.iter().filter(|trial| trial.contact_count > 0) {
         if let (Some(at), Some(fvu)) = (trial.measured_at, trial.fvu) {

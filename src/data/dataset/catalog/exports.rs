@@ -10,7 +10,7 @@ use tracing::Instrument;
 use super::Catalog;
 use crate::dataset::background::background;
 use crate::dataset::build::{Progress, data_file};
-use crate::dataset::error::{DatasetError, Product};
+use crate::dataset::error::{DatasetError, DatasetResult, Product};
 use crate::dataset::export::{self, ExportFile, ExportRequest, ExportResult};
 use crate::dataset::format::{Format, Rows};
 use crate::dataset::read::PAPER_SKIN;
@@ -50,7 +50,7 @@ impl Catalog {
         format: Format,
         wanted: &Wanted,
         progress: Arc<Progress>,
-    ) -> Result<ExportFile, DatasetError> {
+    ) -> DatasetResult<ExportFile> {
         let (catalog, row, wanted) = (self.clone(), row.clone(), wanted.clone());
         let writing = async move { catalog.write(&row, format, &wanted, progress).await };
         tokio::spawn(writing.in_current_span()).await.map_err(|_| DatasetError::Worker)?
@@ -62,7 +62,7 @@ impl Catalog {
         format: Format,
         wanted: &Wanted,
         progress: Arc<Progress>,
-    ) -> Result<ExportFile, DatasetError> {
+    ) -> DatasetResult<ExportFile> {
         let rows = self.rows(&row.id, wanted)?;
         if format == Format::Parquet && rows.is_whole() {
             let path = data_file(&self.datasets(), &row.id);
@@ -116,7 +116,7 @@ impl Catalog {
         &self,
         request: &ExportRequest,
         asked_by: &str,
-    ) -> Result<TaskRow, DatasetError> {
+    ) -> DatasetResult<TaskRow> {
         if self.inner.queue.is_full(WAITING_EXPORTS_MAX).await? {
             let limit = format!("must be under {WAITING_EXPORTS_MAX}: wait until one ends");
             return Err(DatasetError::value("waiting exports", WAITING_EXPORTS_MAX, &limit));
@@ -185,7 +185,7 @@ impl Catalog {
         &self,
         export: &TaskRow,
         progress: Arc<Progress>,
-    ) -> Result<ExportFile, DatasetError> {
+    ) -> DatasetResult<ExportFile> {
         let request: ExportRequest =
             serde_json::from_value(export.request.clone()).map_err(DatasetError::Json)?;
         // After a restart: the dataset that the export began with, not the current one of its name.

@@ -20,7 +20,7 @@ use crate::dataset::begun::Begun;
 use crate::dataset::build::{self, Progress, build, data_file};
 use crate::dataset::card;
 use crate::dataset::definition::Definition;
-use crate::dataset::error::{DatasetError, Product};
+use crate::dataset::error::{DatasetError, DatasetResult, Product};
 use crate::dataset::format::Format;
 use crate::dataset::inputs::Inputs;
 use crate::dataset::making::{AllMaking, MakingKind};
@@ -61,7 +61,7 @@ impl Catalog {
     ///
     /// # Errors
     /// `DatasetError::File` if an unfinished file cannot be removed.
-    pub fn open(store: Store, data: &Path, clock: Clock) -> Result<Self, DatasetError> {
+    pub fn open(store: Store, data: &Path, clock: Clock) -> DatasetResult<Self> {
         let inner = Inner {
             queue: TaskQueue::new(store.clone(), TaskKind::EXPORTS),
             store,
@@ -104,7 +104,7 @@ impl Catalog {
     /// `DatasetError::NoDataset` if the id or name is unknown, `NotMade` if no dataset of the name
     /// has been made, `FileMissing` if its file is missing, `NotEnded` for the name of a run that
     /// has not ended.
-    pub async fn find(&self, name: &str) -> Result<DatasetRow, DatasetError> {
+    pub async fn find(&self, name: &str) -> DatasetResult<DatasetRow> {
         if let Ok(id) = name.parse() {
             return self.of_id(&id).await;
         }
@@ -122,7 +122,7 @@ impl Catalog {
     ///
     /// # Errors
     /// `DatasetError::Store` if the store fails.
-    pub async fn is_current(&self, row: &DatasetRow) -> Result<Option<bool>, DatasetError> {
+    pub async fn is_current(&self, row: &DatasetRow) -> DatasetResult<Option<bool>> {
         let Ok(definition) = serde_json::from_value(row.definition.clone()) else {
             return Ok(None);
         };
@@ -138,7 +138,7 @@ impl Catalog {
     ///
     /// # Errors
     /// As [`Self::find`], and the errors of [`Self::make`].
-    pub async fn resolve(&self, name: &str) -> Result<DatasetRow, DatasetError> {
+    pub async fn resolve(&self, name: &str) -> DatasetResult<DatasetRow> {
         if let Ok(id) = name.parse() {
             return self.of_id(&id).await;
         }
@@ -151,7 +151,7 @@ impl Catalog {
     ///
     /// # Errors
     /// `DatasetError::Store` if the store fails.
-    pub async fn current_of_run(&self, run: &RunRow) -> Result<Option<PathBuf>, DatasetError> {
+    pub async fn current_of_run(&self, run: &RunRow) -> DatasetResult<Option<PathBuf>> {
         if run.state != StoredState::Ended {
             return Ok(None);
         }
@@ -159,7 +159,7 @@ impl Catalog {
         Ok(row.map(|row| data_file(&self.datasets(), &row.id)))
     }
 
-    async fn of_id(&self, id: &DatasetId) -> Result<DatasetRow, DatasetError> {
+    async fn of_id(&self, id: &DatasetId) -> DatasetResult<DatasetRow> {
         match self.inner.store.dataset(id).await? {
             Some(row) if data_file(&self.datasets(), id).is_file() => Ok(row),
             Some(row) => Err(DatasetError::FileMissing(row.id)),
@@ -179,7 +179,7 @@ impl Catalog {
     /// # Errors
     /// `DatasetError::NoDataset` if the name is unknown, `NotEnded` for a run that has not ended,
     /// `Store` if the store fails.
-    pub async fn definition(&self, name: &str) -> Result<Definition, DatasetError> {
+    pub async fn definition(&self, name: &str) -> DatasetResult<Definition> {
         if let Some(run) = self.run_of(name).await? {
             return match run.state {
                 StoredState::Ended => Ok(Definition::of_run(run.scan_id)),
@@ -205,7 +205,7 @@ impl Catalog {
         &self,
         file: &str,
         definition: &Definition,
-    ) -> Result<DatasetRow, DatasetError> {
+    ) -> DatasetResult<DatasetRow> {
         definition.check(file).map_err(DatasetError::Problems)?;
         let name = &definition.name;
         let taken = name.starts_with("run-")
@@ -217,7 +217,7 @@ impl Catalog {
         self.make(definition).await
     }
 
-    async fn run_of(&self, name: &str) -> Result<Option<RunRow>, DatasetError> {
+    async fn run_of(&self, name: &str) -> DatasetResult<Option<RunRow>> {
         let Some(scan_id) = name.strip_prefix("run-").and_then(|n| n.parse().ok()) else {
             return Ok(None);
         };
@@ -232,7 +232,7 @@ impl Catalog {
     /// `Models` if its runs or shards do not exist or do not fit each other, `Empty` if there are
     /// none, `DiskFull` without free space; `Store`, `File` or `Shards` if reading or writing
     /// fails.
-    pub async fn make(&self, definition: &Definition) -> Result<DatasetRow, DatasetError> {
+    pub async fn make(&self, definition: &Definition) -> DatasetResult<DatasetRow> {
         let progress = self.making().begin(MakingKind::Dataset, &definition.name);
         self.make_watched(definition, progress).await
     }
@@ -241,7 +241,7 @@ impl Catalog {
         &self,
         definition: &Definition,
         progress: Arc<Progress>,
-    ) -> Result<DatasetRow, DatasetError> {
+    ) -> DatasetResult<DatasetRow> {
         if let Some(row) = self.existing(definition).await?.0 {
             return Ok(row);
         }
@@ -278,7 +278,7 @@ impl Catalog {
     ///
     /// # Errors
     /// `DatasetError::Store` or `File` if the trials cannot be read or written.
-    pub async fn write_ahead(&self, run: RunUid, scan_id: i64) -> Result<(), DatasetError> {
+    pub async fn write_ahead(&self, run: RunUid, scan_id: i64) -> DatasetResult<()> {
         let Ok(mut begun) = self.inner.building.try_lock() else { return Ok(()) };
         let (rows, columns) = (BATCH_ROWS as u64, schema::all(schema::PAPER_CHANNELS));
         match self.check_space(Product::Dataset, rows, &columns, Format::Parquet).await {
@@ -297,7 +297,7 @@ impl Catalog {
     async fn existing(
         &self,
         definition: &Definition,
-    ) -> Result<(Option<DatasetRow>, Inputs), DatasetError> {
+    ) -> DatasetResult<(Option<DatasetRow>, Inputs)> {
         let inputs = Inputs::find(&self.inner.store, &self.inner.data, definition).await?;
         let row = self.inner.store.dataset_of_inputs(&inputs.key).await?;
         let existing = row.filter(|row| data_file(&self.datasets(), &row.id).is_file());
@@ -311,7 +311,7 @@ impl Catalog {
         rows: u64,
         columns: &Schema,
         format: Format,
-    ) -> Result<(), DatasetError> {
+    ) -> DatasetResult<()> {
         let needed = rows.saturating_mul(space::row_bytes(columns, format));
         Space { needed, free: self.inner.store.free_bytes().await? }.check(product)
     }
@@ -321,7 +321,7 @@ impl Catalog {
     ///
     /// # Errors
     /// `DatasetError::DiskFull` if it has not, `Store` if the free space is unknown.
-    pub async fn check_upload(&self, bytes: u64) -> Result<(), DatasetError> {
+    pub async fn check_upload(&self, bytes: u64) -> DatasetResult<()> {
         let (needed, free) = (space::upload_bytes(bytes), self.inner.store.free_bytes().await?);
         Space { needed, free }.check(Product::Import)
     }
@@ -331,7 +331,7 @@ impl Catalog {
     /// # Errors
     /// `DatasetError::Problems` if the selection does not fit the columns; `File` or `Parquet` if
     /// the file cannot be read.
-    pub fn pages(&self, id: &DatasetId, wanted: &Wanted) -> Result<DatasetPages, DatasetError> {
+    pub fn pages(&self, id: &DatasetId, wanted: &Wanted) -> DatasetResult<DatasetPages> {
         DatasetPages::open(&self.used(id), wanted)
     }
 
@@ -339,7 +339,7 @@ impl Catalog {
     ///
     /// # Errors
     /// As [`Self::pages`].
-    fn rows(&self, id: &DatasetId, wanted: &Wanted) -> Result<DatasetRows, DatasetError> {
+    fn rows(&self, id: &DatasetId, wanted: &Wanted) -> DatasetResult<DatasetRows> {
         DatasetRows::open(&self.used(id), wanted)
     }
 
@@ -354,7 +354,7 @@ impl Catalog {
     ///
     /// # Errors
     /// `DatasetError::Store` if the store fails.
-    pub async fn prunable(&self, keep: usize) -> Result<Vec<Pruned>, DatasetError> {
+    pub async fn prunable(&self, keep: usize) -> DatasetResult<Vec<Pruned>> {
         let rows = self.inner.store.datasets().await?;
         let needed = self.inner.store.dataset_users().await?;
         Ok(prune::decide(&rows, keep, &needed, |id| self.last_used_at(id)))
@@ -365,7 +365,7 @@ impl Catalog {
     ///
     /// # Errors
     /// `DatasetError::Store` if the store fails; `File` if a file cannot be removed.
-    pub async fn prune(&self, keep: usize) -> Result<Vec<Pruned>, DatasetError> {
+    pub async fn prune(&self, keep: usize) -> DatasetResult<Vec<Pruned>> {
         let _no_build = self.inner.building.lock().await;
         let decided = self.prunable(keep).await?;
         let gone: Vec<DatasetId> =
@@ -399,7 +399,7 @@ impl Catalog {
     ///
     /// # Errors
     /// `DatasetError::File` if the card cannot be read.
-    pub fn card(&self, row: &DatasetRow) -> Result<String, DatasetError> {
+    pub fn card(&self, row: &DatasetRow) -> DatasetResult<String> {
         let path = build::card_file(&self.datasets(), &row.id);
         match std::fs::read_to_string(&path) {
             Err(error) if error.kind() == ErrorKind::NotFound => Ok(card::text(row)),

@@ -19,7 +19,7 @@ use tokio::sync::mpsc;
 
 use super::background::background;
 use super::build::Progress;
-use super::error::{DatasetError, Product};
+use super::error::{DatasetError, DatasetResult, Product};
 use super::space::Space;
 use crate::digest::{Hashing, ID_DIGITS, sha256_hex};
 use crate::ids::RunUid;
@@ -81,7 +81,7 @@ pub async fn import(
     import: Import,
     free: u64,
     progress: &Progress,
-) -> Result<Imported, DatasetError> {
+) -> DatasetResult<Imported> {
     let sensor = ImportedSensor::from_toml(&import.sensor_file, &import.sensor)
         .map_err(DatasetError::Problems)?;
     let checked = {
@@ -95,7 +95,7 @@ pub async fn import(
     }
     let begun = store.begin_import(new).await?;
     progress.total.store(checked.summary.rows, Relaxed);
-    let stored: Result<RunRow, DatasetError> = async {
+    let stored: DatasetResult<RunRow> = async {
         let model = match checked.simulated {
             true => Some(model(store, &checked.sha256, &begun).await?),
             false => None,
@@ -131,7 +131,7 @@ pub fn preview(
     sensor: &str,
     coordinates: Coordinates,
     progress: &Progress,
-) -> Result<Summary, DatasetError> {
+) -> DatasetResult<Summary> {
     let sensor = ImportedSensor::from_toml(sensor_file, sensor).map_err(DatasetError::Problems)?;
     let checked = check(path, file, &sensor, coordinates, u64::MAX, progress)?;
     Ok(checked.summary)
@@ -151,7 +151,7 @@ fn check(
     map: Coordinates,
     free: u64,
     progress: &Progress,
-) -> Result<Checked, DatasetError> {
+) -> DatasetResult<Checked> {
     let source = Source::open(path, file)?;
     let mut reader = Reader::new(file, sensor, map);
     reader.check(source.schema()).map_err(DatasetError::Problems)?;
@@ -224,7 +224,7 @@ fn new_run(import: &Import, sensor: &ImportedSensor, checked: &Checked) -> NewRu
 }
 
 /// Stores a model that stands for the origin of the file's simulated frames, and returns its id.
-async fn model(store: &Store, sha256: &str, run: &RunRow) -> Result<TwinModelId, DatasetError> {
+async fn model(store: &Store, sha256: &str, run: &RunRow) -> DatasetResult<TwinModelId> {
     let digest = sha256_hex(format!("{IMPORTED_MODEL} {sha256}"));
     let new = NewTwinModel {
         hash: format!("sim-{}", &digest[..ID_DIGITS]),
@@ -245,11 +245,11 @@ async fn store_trials(
     run: RunUid,
     model: Option<TwinModelId>,
     progress: &Progress,
-) -> Result<(), DatasetError> {
+) -> DatasetResult<()> {
     let (sender, mut pages) = mpsc::channel::<Vec<ImportedTrial>>(2);
     let (path, file, sensor) = (path.to_owned(), import.file.clone(), sensor.clone());
     let map = import.coordinates;
-    let reading = background(move || -> Result<(), DatasetError> {
+    let reading = background(move || -> DatasetResult<()> {
         let mut reader = Reader::new(&file, &sensor, map);
         for batch in Source::open(&path, &file)?.batches()? {
             let trials = reader.read(&batch?).map_err(DatasetError::Problems)?;

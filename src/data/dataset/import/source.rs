@@ -17,13 +17,13 @@ use super::extent::Extent;
 use super::foreign::arrays::{Arrays, Container};
 use super::foreign::csv::Csv;
 use super::{pages, whole};
-use crate::dataset::error::DatasetError;
+use crate::dataset::error::{DatasetError, DatasetResult};
 
 /// Number of bytes by which a format is recognised.
 const START_BYTES: u64 = 4096;
 
 /// Pages of rows.
-pub type Batches = Box<dyn Iterator<Item = Result<RecordBatch, DatasetError>>>;
+pub type Batches = Box<dyn Iterator<Item = DatasetResult<RecordBatch>>>;
 
 /// A file whose headers have been read.
 pub struct Source {
@@ -82,7 +82,7 @@ impl Source {
     ///
     /// # Errors
     /// `DatasetError::File` if it cannot be read, `Problems` if its format or its headers are invalid.
-    pub fn open(path: &Path, file: &str) -> Result<Self, DatasetError> {
+    pub fn open(path: &Path, file: &str) -> DatasetResult<Self> {
         let opened = File::open(path).map_err(DatasetError::file("opening", path))?;
         let mut start = Vec::new();
         let read = (&opened).take(START_BYTES).read_to_end(&mut start);
@@ -128,7 +128,7 @@ impl Source {
     ///
     /// # Errors
     /// `DatasetError::File` or `Problems` if the file cannot be read.
-    pub fn batches(self) -> Result<Batches, DatasetError> {
+    pub fn batches(self) -> DatasetResult<Batches> {
         Ok(match self.content {
             Content::Parquet(parquet) => {
                 let used = |(at, field): (usize, &FieldRef)| is_read(field.name()).then_some(at);

@@ -6,6 +6,7 @@ use std::io::Write;
 use std::ops::ControlFlow;
 
 use serde_json::json;
+use tempfile::TempDir;
 
 use super::*;
 use crate::chunk::WrittenChunk;
@@ -33,11 +34,10 @@ fn order(number: u64) -> WorkOrder {
     WorkOrder::new("texts", &json!({ "number": number }), BTreeMap::new(), 4)
 }
 
-fn folder(name: &str) -> OrderFolder {
-    let name = format!("palpate-chunks-{name}-{}", std::process::id());
-    let path = std::env::temp_dir().join(name);
-    fs::remove_dir_all(&path).ok();
-    OrderFolder::write(&path, order(1)).unwrap().0
+fn folder() -> (TempDir, OrderFolder) {
+    let temporary = tempfile::tempdir().unwrap();
+    let folder = OrderFolder::write(&temporary.path().join("order"), order(1)).unwrap().0;
+    (temporary, folder)
 }
 
 fn made(folder: &OrderFolder, index: u64) -> ChunkRow {
@@ -54,7 +54,7 @@ fn names(folder: &Path) -> Vec<String> {
 
 #[test]
 fn an_order_is_written_once_and_another_one_is_refused() {
-    let folder = folder("order");
+    let (_temporary, folder) = folder();
     let path = folder.path().to_owned();
     let (again, is_new) = OrderFolder::write(&path, order(1)).unwrap();
     assert!(!is_new);
@@ -65,12 +65,11 @@ fn an_order_is_written_once_and_another_one_is_refused() {
     assert!(matches!(none, ChunkError::NoOrder { .. }));
     fs::write(path.join(ORDER_FILE), "{").unwrap();
     assert!(matches!(OrderFolder::open(&path), Err(ChunkError::Order { .. })));
-    fs::remove_dir_all(path).unwrap();
 }
 
 #[test]
 fn a_chunk_is_done_when_its_row_is_there_and_its_bytes_match() {
-    let folder = folder("done");
+    let (_temporary, folder) = folder();
     assert_eq!(folder.state(0, Look::Sha256).unwrap(), ChunkState::Missing);
     let row = made(&folder, 0);
     assert_eq!((row.index, row.bytes, row.rows), (0, 7, 1));
@@ -98,12 +97,11 @@ fn a_chunk_is_done_when_its_row_is_there_and_its_bytes_match() {
     assert!(matches!(folder.state(0, Look::Length).unwrap(), ChunkState::Damaged(_)));
     let error = folder.state(4, Look::Length).unwrap_err().to_string();
     assert_eq!(error, "index = 4: must be from 0 to 3");
-    fs::remove_dir_all(folder.path()).unwrap();
 }
 
 #[test]
 fn a_chunk_that_fails_is_set_aside_with_its_error_and_one_that_is_broken_off_is_not() {
-    let folder = folder("failed");
+    let (_temporary, folder) = folder();
     for attempts in 1..3 {
         let error = folder.make(2, &mut plain(), &mut |_| ControlFlow::Continue(())).unwrap_err();
         assert_eq!(error.to_string(), "chunk 2: two is too many");
@@ -122,23 +120,21 @@ fn a_chunk_that_fails_is_set_aside_with_its_error_and_one_that_is_broken_off_is_
     fs::write(&failure, "{").unwrap();
     made(&folder, 0);
     assert!(!failure.exists());
-    fs::remove_dir_all(folder.path()).unwrap();
 }
 
 #[test]
 fn a_repeated_chunk_with_other_bytes_is_refused() {
-    let folder = folder("reproduced");
+    let (_temporary, folder) = folder();
     let row = made(&folder, 0);
     let mut salted = Texts { salt: "!" };
     let error = folder.make(0, &mut salted, &mut |_| ControlFlow::Continue(())).unwrap_err();
     assert!(matches!(error, ChunkError::NotReproduced { index: 0, .. }), "{error}");
     assert_eq!(folder.state(0, Look::Sha256).unwrap(), ChunkState::Done(row));
-    fs::remove_dir_all(folder.path()).unwrap();
 }
 
 #[test]
 fn what_is_missing_damaged_or_foreign_is_named() {
-    let folder = folder("gaps");
+    let (_temporary, folder) = folder();
     let rows: Vec<ChunkRow> = [0, 1, 3].map(|index| made(&folder, index)).into();
     fs::write(folder.result(&rows[1].key), "").unwrap();
     let stranger = format!("{}.json", order(2).key(0));
@@ -147,12 +143,11 @@ fn what_is_missing_damaged_or_foreign_is_named() {
     assert_eq!(gaps.missing, [2]);
     assert_eq!(gaps.damaged.iter().map(|(index, _)| *index).collect::<Vec<_>>(), [1]);
     assert_eq!(gaps.foreign, [format!("results/{stranger}")]);
-    fs::remove_dir_all(folder.path()).unwrap();
 }
 
 #[test]
 fn what_killed_processes_left_is_removed_when_no_other_one_is_at_work() {
-    let folder = folder("swept");
+    let (_temporary, folder) = folder();
     let left = |name: &str| {
         let path = folder.path().join(RESULTS).join(name);
         fs::write(&path, "half").unwrap();
@@ -167,5 +162,4 @@ fn what_killed_processes_left_is_removed_when_no_other_one_is_at_work() {
     drop((at_work, also));
     folder.at_work().unwrap();
     assert!(!second.exists());
-    fs::remove_dir_all(folder.path()).unwrap();
 }

@@ -21,7 +21,7 @@ use self::fast::PointPipeline;
 use self::one_step::OneStepPipeline;
 use self::paper::MapPipeline;
 use super::answer::Reading;
-use super::error::InferError;
+use super::error::{InferError, InferResult};
 use super::maps::{ForceMaps, MAP_1};
 use super::registry::Model;
 use super::slot::Slot;
@@ -122,7 +122,7 @@ impl Method {
     /// # Errors
     /// `InferError::NotServed` if a model is missing; `Problems` if a model has no use, `OtherTask`
     /// if it has another task; `Map` if a map does not fit the skin.
-    pub fn ready(self, models: &Models) -> Result<Box<dyn ReadyMethod>, InferError> {
+    pub fn ready(self, models: &Models) -> InferResult<Box<dyn ReadyMethod>> {
         let lacks = |needs| InferError::NotServed { method: self.name(), needs };
         let one_step = |kind| {
             let model = models.forward.as_ref().ok_or_else(|| lacks("skin"))?;
@@ -268,7 +268,7 @@ pub trait ReadyMethod: Send + Sync {
     ///
     /// # Errors
     /// `InferError` if a frame cannot be answered.
-    fn read(&self, frames: &Frames<'_>, maps: ForceMaps) -> Result<Vec<Reading>, InferError>;
+    fn read(&self, frames: &Frames<'_>, maps: ForceMaps) -> InferResult<Vec<Reading>>;
 
     /// Reads the next frame of a stream (V).
     ///
@@ -279,7 +279,7 @@ pub trait ReadyMethod: Send + Sync {
         frame: &[f32],
         maps: ForceMaps,
         _tracked: &mut Tracked,
-    ) -> Result<Reading, InferError> {
+    ) -> InferResult<Reading> {
         Ok(self.read(&Frames::single(frame), maps)?.into_iter().next().unwrap_or_default())
     }
 

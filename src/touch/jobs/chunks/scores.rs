@@ -16,7 +16,7 @@ use crate::infer::registry::{Model, NewModel};
 use crate::infer::untouched::UntouchedSkins;
 use crate::jobs::gathered::Gathered;
 use crate::jobs::scoring::{Reader, Scoring};
-use crate::jobs::{JobError, Watch};
+use crate::jobs::{JobError, JobResult, Watch};
 use crate::learn::task::MEASURED;
 use crate::program::STOP_POLL;
 
@@ -39,14 +39,14 @@ pub(super) fn net_scores(
     model: &NewModel,
     [file, scratch]: [&Path; 2],
     tell: &mut Tell<'_>,
-) -> Result<Option<Vec<NetScore>>, JobError> {
+) -> JobResult<Option<Vec<NetScore>>> {
     if net.evaluations.is_empty() {
         return Ok(Some(Vec::new()));
     }
     let watch = Arc::new(Watch::default());
     let model = Arc::new(model.load()?);
     std::thread::scope(|scope| {
-        let work = scope.spawn(|| -> Result<Option<Vec<NetScore>>, JobError> {
+        let work = scope.spawn(|| -> JobResult<Option<Vec<NetScore>>> {
             let mut scores = Vec::new();
             for request in &net.evaluations {
                 match net_score(net, &model, request, [file, scratch], &watch)? {
@@ -73,7 +73,7 @@ fn net_score(
     request: &EvaluationRequest,
     [file, scratch]: [&Path; 2],
     watch: &Arc<Watch>,
-) -> Result<Option<NetScore>, JobError> {
+) -> JobResult<Option<NetScore>> {
     let request = request.of_net(&model.manifest.id);
     request.check()?;
     let reader = match request.scored {

@@ -13,13 +13,13 @@ pub mod frames;
 
 use self::frames::FrameInput;
 use super::scoring::{Reader, Scoring};
-use super::{JobError, Jobs, evaluation};
+use super::{JobError, JobResult, Jobs, evaluation};
 use crate::dataset::background::background;
 use crate::digest::sha256_hex;
 use crate::evaluate::request::{EvaluationReport, EvaluationRequest, Scored};
 use crate::ids::DatasetId;
 use crate::infer::answer::Reading;
-use crate::infer::error::InferError;
+use crate::infer::error::InferResult;
 use crate::infer::maps::ForceMaps;
 use crate::infer::methods::exact::{ExactPipeline, ExactSkin};
 use crate::infer::methods::{Frames, ReadyMethod, UsedSkin};
@@ -60,12 +60,12 @@ impl Jobs {
         &self,
         request: &EvaluationRequest,
         chunk_rows: usize,
-    ) -> Result<ReadingInputs, JobError> {
+    ) -> JobResult<ReadingInputs> {
         let (skin, scoring) = self.prepared(request).await?;
         let (dataset, rows) = (scoring.dataset.clone(), scoring.gathered.rows.len() as u64);
         let calibration = skin.calibration().map(|id| self.inner.serving.skins().stored(id));
         let calibration = calibration.transpose()?;
-        let reading = move || -> Result<_, JobError> {
+        let reading = move || -> JobResult<_> {
             let stored = calibration.map(|stored| stored.text()).transpose()?;
             let inputs = scoring.inputs()?;
             let frames = inputs.chunks(chunk_rows.max(1)).map(FrameInput::lines);
@@ -97,7 +97,7 @@ impl Jobs {
         model: &str,
         frames_sha256: &str,
         readings: Vec<Reading>,
-    ) -> Result<EvaluationReport, JobError> {
+    ) -> JobResult<EvaluationReport> {
         let (skin, scoring) = self.prepared(request).await?;
         let refused = |key: &str, value: &str, limit: &str| {
             JobError::Problems(vec![Problem::new("readings", key, value, limit)])
@@ -112,7 +112,7 @@ impl Jobs {
             return Err(refused("file", &format!("{} readings", readings.len()), &limit));
         }
         let stated = frames_sha256.to_owned();
-        let scoring = background(move || -> Result<Option<EvaluationReport>, JobError> {
+        let scoring = background(move || -> JobResult<Option<EvaluationReport>> {
             let mut scoring = scoring;
             if sha256_hex(FrameInput::lines(&scoring.inputs()?)) != stated {
                 return Err(JobError::Problems(vec![Problem::new(
@@ -132,10 +132,7 @@ impl Jobs {
     }
 
     /// The skin and the rows of a request for `exact` without nets.
-    async fn prepared(
-        &self,
-        request: &EvaluationRequest,
-    ) -> Result<(Arc<ExactSkin>, Scoring), JobError> {
+    async fn prepared(&self, request: &EvaluationRequest) -> JobResult<(Arc<ExactSkin>, Scoring)> {
         request.check()?;
         let refused = |key: &str, value: String, limit: &str| {
             JobError::Problems(vec![Problem::new("request", key, value, limit)])
@@ -185,7 +182,7 @@ struct Replayed {
 }
 
 impl ReadyMethod for Replayed {
-    fn read(&self, frames: &Frames<'_>, _: ForceMaps) -> Result<Vec<Reading>, InferError> {
+    fn read(&self, frames: &Frames<'_>, _: ForceMaps) -> InferResult<Vec<Reading>> {
         let count = frames.voltages_v.len() / self.exact.skin.channels();
         Ok(self.readings.lock().by_ref().take(count).collect())
     }

@@ -13,7 +13,7 @@ use arrow_schema::{DataType, Field, Schema};
 
 use super::array::{Kind, Shape, Values, is_frame};
 use super::{batch, mat, npz};
-use crate::dataset::error::DatasetError;
+use crate::dataset::error::{DatasetError, DatasetResult};
 use crate::dataset::import::columns::{CONTACT_FIELDS, FRAMES_V, SCALARS, Scalar, scalar};
 use crate::dataset::import::extent::Extent;
 use crate::dataset::schema::VOLTAGES_V;
@@ -185,7 +185,7 @@ impl Arrays {
     /// # Errors
     /// `DatasetError::File` if the file cannot be opened; `Problems` if it cannot be read, or an array has
     /// another shape or type than it must have.
-    pub fn open(container: Container, path: &Path, file: &str) -> Result<Self, DatasetError> {
+    pub fn open(container: Container, path: &Path, file: &str) -> DatasetResult<Self> {
         let opened = std::fs::File::open(path).map_err(DatasetError::file("opening", path))?;
         let shapes = match container {
             Container::Npz => npz::shapes(opened),
@@ -227,7 +227,7 @@ impl Arrays {
     ///
     /// # Errors
     /// As [`Self::open`]; a page is an error if a text is not of the type of its column.
-    pub fn batches(self) -> Result<Batches, DatasetError> {
+    pub fn batches(self) -> DatasetResult<Batches> {
         let path = &self.path;
         let opened = std::fs::File::open(path).map_err(DatasetError::file("opening", path))?;
         let wanted = &self.layout.read;
@@ -259,7 +259,7 @@ pub struct Batches {
 }
 
 impl Iterator for Batches {
-    type Item = Result<RecordBatch, DatasetError>;
+    type Item = DatasetResult<RecordBatch>;
 
     fn next(&mut self) -> Option<Self::Item> {
         let first = self.row;
@@ -270,7 +270,7 @@ impl Iterator for Batches {
 }
 
 impl Batches {
-    fn page(&self, first: usize, end: usize) -> Result<RecordBatch, DatasetError> {
+    fn page(&self, first: usize, end: usize) -> DatasetResult<RecordBatch> {
         let mut columns: Vec<(&str, ArrayRef)> = Vec::new();
         for (name, values) in &self.arrays {
             match values {
@@ -320,7 +320,7 @@ impl Batches {
         values: &Values,
         first: usize,
         end: usize,
-    ) -> Result<ArrayRef, DatasetError> {
+    ) -> DatasetResult<ArrayRef> {
         let wrong = |row: usize, value: &str, limit: String| {
             let key = format!("row {row}, {name}");
             DatasetError::Problems(vec![Problem::new(&self.file, &key, value, limit)])

@@ -15,7 +15,7 @@ use csv::{ByteRecord, ReaderBuilder};
 
 use super::batch;
 use super::line_limit::{Allowance, LINE_MAX_BYTES, LineLimit};
-use crate::dataset::error::DatasetError;
+use crate::dataset::error::{DatasetError, DatasetResult};
 use crate::dataset::import::BATCH_TRIALS;
 use crate::dataset::import::columns::{FRAMES_V, Scalar, scalar};
 use crate::dataset::import::extent::Extent;
@@ -176,7 +176,7 @@ impl Csv {
     /// # Errors
     /// `DatasetError::File` if the file cannot be read, `Problems` if its header is invalid, a line is too
     /// long, or a line has another number of cells than the header.
-    pub fn open(path: &Path, file: &str) -> Result<Self, DatasetError> {
+    pub fn open(path: &Path, file: &str) -> DatasetResult<Self> {
         let mut first = Vec::new();
         let opened = File::open(path).map_err(DatasetError::file("opening", path))?;
         let mut start = opened.take(LINE_MAX_BYTES);
@@ -211,7 +211,7 @@ impl Csv {
         Ok(csv)
     }
 
-    fn reader(&self) -> Result<(csv::Reader<LineLimit<File>>, Allowance), DatasetError> {
+    fn reader(&self) -> DatasetResult<(csv::Reader<LineLimit<File>>, Allowance)> {
         let opened = File::open(&self.path).map_err(DatasetError::file("opening", &self.path))?;
         let (limited, allowance) = LineLimit::new(opened);
         let reader = ReaderBuilder::new().delimiter(self.separator).from_reader(limited);
@@ -252,7 +252,7 @@ impl Csv {
     ///
     /// # Errors
     /// As [`Self::open`]; a page is an error if a cell is not of the type of its column.
-    pub fn batches(self) -> Result<Batches, DatasetError> {
+    pub fn batches(self) -> DatasetResult<Batches> {
         let (reader, allowance) = self.reader()?;
         Ok(Batches { csv: self, reader, allowance, row: 0, ended: false })
     }
@@ -268,7 +268,7 @@ pub struct Batches {
 }
 
 impl Iterator for Batches {
-    type Item = Result<RecordBatch, DatasetError>;
+    type Item = DatasetResult<RecordBatch>;
 
     fn next(&mut self) -> Option<Self::Item> {
         if self.ended {
@@ -281,7 +281,7 @@ impl Iterator for Batches {
 }
 
 impl Batches {
-    fn page(&mut self) -> Result<Option<RecordBatch>, DatasetError> {
+    fn page(&mut self) -> DatasetResult<Option<RecordBatch>> {
         let mut page = Page::default();
         let mut record = ByteRecord::new();
         let (mut rows, mut bytes) = (0, 0);
@@ -394,7 +394,7 @@ impl Page {
         self.problems.append(&mut problems);
     }
 
-    fn finish(mut self, layout: &Layout) -> Result<RecordBatch, DatasetError> {
+    fn finish(mut self, layout: &Layout) -> DatasetResult<RecordBatch> {
         let mut columns: Vec<(&str, ArrayRef)> = Vec::new();
         for (name, (values, cells)) in [VOLTAGES_V, SIM_VOLTAGES_V]
             .into_iter()

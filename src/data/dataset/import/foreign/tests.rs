@@ -8,7 +8,7 @@ use zip::write::SimpleFileOptions;
 use zip::{CompressionMethod, ZipWriter};
 
 use super::csv::Csv;
-use crate::dataset::error::DatasetError;
+use crate::dataset::error::{DatasetError, DatasetResult};
 use crate::dataset::import::coordinates::Coordinates;
 use crate::dataset::import::rows::{Reader, ignored};
 use crate::dataset::import::sensor::ImportedSensor;
@@ -19,7 +19,7 @@ use crate::syntax::PROBLEMS_MAX;
 const PAD: &str = "name = \"pad\"\nchannels = 3\nwidth_mm = 100\nheight_mm = 80\n";
 
 /// Trials and ignored columns of a file, by the steps of an import.
-fn read(name: &str, bytes: &[u8]) -> Result<(Vec<ImportedTrial>, Vec<String>), DatasetError> {
+fn read(name: &str, bytes: &[u8]) -> DatasetResult<(Vec<ImportedTrial>, Vec<String>)> {
     let file = NamedTempFile::new().unwrap();
     std::fs::write(&file, bytes).unwrap();
     let sensor = ImportedSensor::from_toml("pad.toml", PAD).unwrap();

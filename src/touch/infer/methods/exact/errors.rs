@@ -14,7 +14,7 @@ use super::rehearsal::{Rehearsal, Rehearsed, is_light};
 use super::skin::ExactSkin;
 use super::skin_errors::{LEAST_KNOWN, SkinErrors, Stretch, grown};
 use super::untouched::Untouched;
-use crate::infer::error::InferError;
+use crate::infer::error::InferResult;
 use crate::infer::untouched_frame::UntouchedBefore;
 
 /// Standard deviation of a voltage's noise if neither known trials nor the calibration state it, V.
@@ -86,7 +86,7 @@ impl ExactSkin {
     ///
     /// # Errors
     /// `InferError` if the error model is invalid or a known trial cannot be fitted.
-    pub fn new(model: &ForwardModel, trials: &KnownTrials) -> Result<Self, InferError> {
+    pub fn new(model: &ForwardModel, trials: &KnownTrials) -> InferResult<Self> {
         let KnownTrials { pressed: known, crowded, untouched } = trials;
         let channels = model.sensor().channels();
         let offset_v = model.sensor().offsets_v();
@@ -127,7 +127,7 @@ impl ExactSkin {
         trials: &[&KnownTrial],
         frames: &[ModelledFrame],
         white: &ErrorModel,
-    ) -> Result<Option<Rehearsal>, InferError> {
+    ) -> InferResult<Option<Rehearsal>> {
         let mut answers = Vec::with_capacity(trials.len());
         let mut configurations: Vec<u32> = trials.iter().map(|trial| trial.configuration).collect();
         configurations.extend(frames.iter().map(|frame| frame.configuration));
@@ -153,7 +153,7 @@ impl ExactSkin {
     }
 
     /// Factors with which the limits of the fits of known contacts hold the true ones.
-    fn stretch(&self, known: &[KnownTrial]) -> Result<Stretch, InferError> {
+    fn stretch(&self, known: &[KnownTrial]) -> InferResult<Stretch> {
         let some: Vec<&KnownTrial> =
             known.iter().step_by(known.len().div_ceil(STRETCHED_BY)).collect();
         let (mut places, mut forces) = (Vec::new(), Vec::new());
@@ -182,8 +182,8 @@ impl ExactSkin {
     fn each<T: Send>(
         &self,
         known: &[&KnownTrial],
-        fit: impl Fn(&KnownTrial, &Observation<'_>, &mut FitWork) -> Result<T, InferError> + Sync,
-    ) -> Result<Vec<T>, InferError> {
+        fit: impl Fn(&KnownTrial, &Observation<'_>, &mut FitWork) -> InferResult<T> + Sync,
+    ) -> InferResult<Vec<T>> {
         let fit_share = |trials: &[&KnownTrial]| {
             let (mut work, mut frame_v) = (FitWork::default(), Vec::new());
             let one = |trial: &&KnownTrial| {
@@ -192,11 +192,11 @@ impl ExactSkin {
                 let observation = self.observation(&frame_v, trial.frames, untouched);
                 fit(trial, &observation, &mut work)
             };
-            trials.iter().map(one).collect::<Result<Vec<_>, InferError>>()
+            trials.iter().map(one).collect::<InferResult<Vec<_>>>()
         };
         let threads = thread::available_parallelism().map_or(1, |n| n.get().min(SKIN_THREADS_MAX));
         let shares = known.chunks(known.len().div_ceil(threads).max(1));
-        let done: Result<Vec<_>, InferError> = thread::scope(|scope| {
+        let done: InferResult<Vec<_>> = thread::scope(|scope| {
             let working: Vec<_> = shares.map(|share| scope.spawn(|| fit_share(share))).collect();
             let join = |handle: thread::ScopedJoinHandle<'_, _>| {
                 handle.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
@@ -212,7 +212,7 @@ impl ExactSkin {
         &self,
         model: &ForwardModel,
         known: &[KnownTrial],
-    ) -> Result<Vec<ModelledFrame>, InferError> {
+    ) -> InferResult<Vec<ModelledFrame>> {
         self.each(&known.iter().collect::<Vec<_>>(), |trial, observation, work| {
             let fit = self.fitter.refine(observation, &trial.contacts, work)?;
             let refined: Vec<Contact> = fit.contacts.iter().map(|found| found.contact).collect();
@@ -242,7 +242,7 @@ struct ModelledFrame {
 fn learnt<'f>(
     white: &ErrorModel,
     frames: impl Iterator<Item = &'f ModelledFrame>,
-) -> Result<Option<ErrorModel>, InferError> {
+) -> InferResult<Option<ErrorModel>> {
     let pair = |frame: &'f ModelledFrame| FramePair {
         measured_v: &frame.measured_v,
         modelled_v: &frame.modelled_v,

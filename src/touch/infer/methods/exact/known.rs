@@ -9,7 +9,7 @@ use super::{KnownTrial, KnownTrials, Untouched};
 use crate::calibrate::skin;
 use crate::dataset::pressed::{clock_rate, contacts, force_noise_n, tips_mm};
 use crate::ids::TrialId;
-use crate::infer::error::InferError;
+use crate::infer::error::{InferError, InferResult};
 use crate::infer::untouched::UntouchedSkins;
 use crate::problem::Problem;
 use crate::state::StoredState;
@@ -41,7 +41,7 @@ pub const UNTOUCHED_N: f64 = 0.5;
 pub(super) async fn known_trials(
     store: &Store,
     sensor: &CalibratedSensor,
-) -> Result<KnownTrials, InferError> {
+) -> InferResult<KnownTrials> {
     let of_skin = sensor.skin().map(|skin| skin.evidence.run.clone());
     let runs = store.runs(&[], RUNS_LOOKED_AT, None).await?.runs;
     let is_on_sensor = |run: &RunRow, kind: RunKind| {
@@ -110,7 +110,7 @@ async fn evenly(
     run: &RunRow,
     conditions: &[String],
     most: usize,
-) -> Result<Vec<TrialRow>, InferError> {
+) -> InferResult<Vec<TrialRow>> {
     let condition = |text: &String| {
         let wrong = |limit| vec![Problem::new("request", "where", text, limit)];
         Condition::parse(text).map_err(wrong).map_err(InferError::Problems)

@@ -26,7 +26,7 @@ use self::zero::Zero;
 use super::fast::{PROPOSED, PointPipeline};
 use super::{Frames, ReadyMethod, UsedSkin};
 use crate::infer::answer::{FoundContact, Reading};
-use crate::infer::error::InferError;
+use crate::infer::error::InferResult;
 use crate::infer::maps::ForceMaps;
 use crate::infer::registry::Model;
 
@@ -68,7 +68,7 @@ impl ReadyMethod for ExactPipeline {
         format!("{}{}", self.skin.id(), net.unwrap_or_default())
     }
 
-    fn read(&self, frames: &Frames<'_>, _: ForceMaps) -> Result<Vec<Reading>, InferError> {
+    fn read(&self, frames: &Frames<'_>, _: ForceMaps) -> InferResult<Vec<Reading>> {
         let Frames { voltages_v, averaged, untouched } = *frames;
         let untouched = self.skin.better(untouched);
         let (mut work, mut frame_v) = (FitWork::default(), Vec::new());
@@ -86,12 +86,7 @@ impl ReadyMethod for ExactPipeline {
 
     /// Fits the mean of the frames since the last change of the load, starting from the last fit if
     /// it is still valid. While nothing is found, the zero follows the offsets; it ages while something is.
-    fn follow(
-        &self,
-        frame: &[f32],
-        _: ForceMaps,
-        tracked: &mut Tracked,
-    ) -> Result<Reading, InferError> {
+    fn follow(&self, frame: &[f32], _: ForceMaps, tracked: &mut Tracked) -> InferResult<Reading> {
         if tracked.skin.as_deref() != Some(self.skin.id()) {
             *tracked = Tracked { skin: Some(self.skin.id().to_owned()), ..Tracked::default() };
         }
@@ -153,7 +148,7 @@ impl ReadyMethod for ExactPipeline {
 
 impl ExactPipeline {
     /// Proposals for a frame without offsets, V. The net reads it with those of the calibration.
-    fn proposals(&self, frame_v: &[f64]) -> Result<Vec<Proposal>, InferError> {
+    fn proposals(&self, frame_v: &[f64]) -> InferResult<Vec<Proposal>> {
         let Some(points) = &self.points else { return Ok(Vec::new()) };
         let offsets = self.skin.offset_v.iter();
         let frame: Vec<f32> = frame_v.iter().zip(offsets).map(|(v, o)| (v + o) as f32).collect();

@@ -11,7 +11,7 @@ use super::skin_errors::{LEAST_KNOWN, SkinErrors, Stretch, grown};
 use super::zero::Zero;
 use crate::ids::CalibrationId;
 use crate::infer::answer::{Alternative, FoundContact, Reading};
-use crate::infer::error::InferError;
+use crate::infer::error::InferResult;
 use crate::infer::untouched_frame::{UntouchedBefore, share_of_day};
 
 /// Drift in a day, in standard deviations of the noise of a pair, from which offsets must be measured again.
@@ -46,7 +46,7 @@ impl ExactSkin {
     ///
     /// # Errors
     /// `InferError::Fitter` if the tables of the fit cannot be computed.
-    pub fn with(model: &ForwardModel, errors: SkinErrors) -> Result<Self, InferError> {
+    pub fn with(model: &ForwardModel, errors: SkinErrors) -> InferResult<Self> {
         Ok(Self {
             calibration: model.sensor().calibration().map(CalibrationId::unchecked),
             run: model.sensor().skin().map(|skin| skin.evidence.run.clone()),

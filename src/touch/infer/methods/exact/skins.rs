@@ -15,7 +15,7 @@ use super::{ExactSkin, KnownTrials, SkinErrors};
 use crate::calibrate::skin;
 use crate::digest::Hashing;
 use crate::ids::CalibrationId;
-use crate::infer::error::InferError;
+use crate::infer::error::{InferError, InferResult};
 use crate::new_file;
 use crate::simulate::model::load_or_build;
 use crate::store::Store;
@@ -37,7 +37,7 @@ impl StoredCalibration {
     ///
     /// # Errors
     /// `InferError::File` if the file cannot be read; `Calibration` if it is invalid.
-    pub fn read(&self) -> Result<Calibration, InferError> {
+    pub fn read(&self) -> InferResult<Calibration> {
         Ok(Calibration::from_toml(&self.text()?)?)
     }
 
@@ -45,7 +45,7 @@ impl StoredCalibration {
     ///
     /// # Errors
     /// `InferError::File` if the file cannot be read.
-    pub fn text(&self) -> Result<String, InferError> {
+    pub fn text(&self) -> InferResult<String> {
         std::fs::read_to_string(&self.0).map_err(InferError::file("reading", &self.0))
     }
 }
@@ -68,10 +68,7 @@ impl Skins {
     ///
     /// # Errors
     /// `InferError` if there is no such calibration, or the model or its errors cannot be computed.
-    pub async fn ready(
-        &self,
-        calibration: Option<&CalibrationId>,
-    ) -> Result<ExactSkin, InferError> {
+    pub async fn ready(&self, calibration: Option<&CalibrationId>) -> InferResult<ExactSkin> {
         let model = self.model(calibration).await?;
         let known = known_trials(&self.store, model.sensor()).await?;
         let cache = self.data.join("cache");
@@ -86,10 +83,7 @@ impl Skins {
     ///
     /// # Errors
     /// `InferError` if there is no such calibration, or the model cannot be built.
-    pub async fn model(
-        &self,
-        calibration: Option<&CalibrationId>,
-    ) -> Result<ForwardModel, InferError> {
+    pub async fn model(&self, calibration: Option<&CalibrationId>) -> InferResult<ForwardModel> {
         let calibration = calibration.map(|id| self.stored(id)).transpose()?;
         let (sensor, cache) = (self.sensor.clone(), self.data.join("cache"));
         let span = Span::current();
@@ -109,7 +103,7 @@ impl Skins {
     /// # Errors
     /// `InferError::Calibration` if it is invalid or of another sensor; `File` if it cannot be
     /// written.
-    pub fn keep(&self, text: &str) -> Result<CalibrationId, InferError> {
+    pub fn keep(&self, text: &str) -> InferResult<CalibrationId> {
         let calibration = Calibration::from_toml(text)?;
         calibration.apply(&self.sensor)?;
         let id = CalibrationId::unchecked(calibration.id()?);
@@ -123,7 +117,7 @@ impl Skins {
     ///
     /// # Errors
     /// `InferError::NoSkin` if there is no such calibration.
-    pub fn stored(&self, id: &CalibrationId) -> Result<StoredCalibration, InferError> {
+    pub fn stored(&self, id: &CalibrationId) -> InferResult<StoredCalibration> {
         let digits = id
             .as_str()
             .strip_prefix("cal-")
@@ -145,7 +139,7 @@ fn ready(
     known: &KnownTrials,
     cache: &Path,
     carried: Option<&Path>,
-) -> Result<ExactSkin, InferError> {
+) -> InferResult<ExactSkin> {
     let path = cache.join(format!("skin-errors-{}.json", &key(model, known)[..16]));
     let channels = model.sensor().channels();
     let read = |path: &Path| -> Option<SkinErrors> {

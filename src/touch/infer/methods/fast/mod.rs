@@ -10,7 +10,7 @@ use std::sync::Arc;
 use super::{Frames, ReadyMethod};
 use crate::ids::ModelId;
 use crate::infer::answer::{FoundContact, Reading};
-use crate::infer::error::InferError;
+use crate::infer::error::InferResult;
 use crate::infer::maps::ForceMaps;
 use crate::infer::registry::Model;
 use crate::learn::task::Answers;
@@ -37,7 +37,7 @@ impl PointPipeline {
     ///
     /// # Errors
     /// `InferError::OtherTask` if the model is not a Point-Net.
-    pub fn new(model: Arc<Model>) -> Result<Self, InferError> {
+    pub fn new(model: Arc<Model>) -> InferResult<Self> {
         if model.manifest.model.task.answers() != Answers::Points {
             return Err(model.of_other_task("a Point-Net is needed"));
         }
@@ -59,11 +59,7 @@ impl PointPipeline {
     ///
     /// # Errors
     /// `InferError::Plan` if the net fails on a frame.
-    pub fn candidates(
-        &self,
-        frames: &[f32],
-        least: f64,
-    ) -> Result<Vec<Vec<FoundContact>>, InferError> {
+    pub fn candidates(&self, frames: &[f32], least: f64) -> InferResult<Vec<Vec<FoundContact>>> {
         let mut answers = Vec::new();
         self.model.plan.answer(frames, &mut answers)?;
         let points = &self.model.points_mm;
@@ -73,7 +69,7 @@ impl PointPipeline {
 }
 
 impl ReadyMethod for PointPipeline {
-    fn read(&self, frames: &Frames<'_>, _: ForceMaps) -> Result<Vec<Reading>, InferError> {
+    fn read(&self, frames: &Frames<'_>, _: ForceMaps) -> InferResult<Vec<Reading>> {
         let range = &self.model.manifest.model.trained_on;
         let candidates = self.candidates(frames.voltages_v, SAID)?;
         let frames = frames.voltages_v.chunks_exact(self.model.plan.channels());

@@ -13,7 +13,7 @@ use super::{Frames, ReadyMethod, UsedSkin};
 use crate::dataset::force_map::ForceMap;
 use crate::ids::CalibrationId;
 use crate::infer::answer::Reading;
-use crate::infer::error::InferError;
+use crate::infer::error::InferResult;
 use crate::infer::maps::{ForceMaps, MAP_1, contacts};
 use crate::infer::registry::Model;
 
@@ -42,7 +42,7 @@ impl OneStepPipeline {
         model: &ForwardModel,
         regularisation: Regularisation,
         threshold_n: f64,
-    ) -> Result<Self, InferError> {
+    ) -> InferResult<Self> {
         let sensor = model.sensor();
         let size_mm = [sensor.file.width_mm, sensor.file.height_mm];
         let slopes = PointSlopes::secant(model, ABOUT_N)?;
@@ -59,7 +59,7 @@ impl OneStepPipeline {
 }
 
 impl ReadyMethod for OneStepPipeline {
-    fn read(&self, frames: &Frames<'_>, maps: ForceMaps) -> Result<Vec<Reading>, InferError> {
+    fn read(&self, frames: &Frames<'_>, maps: ForceMaps) -> InferResult<Vec<Reading>> {
         let mut readings = Vec::new();
         for frame in frames.voltages_v.chunks_exact(self.offset_v.len()) {
             let frame = frame.iter().zip(&self.offset_v).map(|(v, offset)| f64::from(*v) - offset);

@@ -7,7 +7,7 @@ use super::{Frames, ReadyMethod};
 use crate::dataset::force_map::peaks::THRESHOLD_N;
 use crate::dataset::force_map::{ForceMap, ForceMapSpec, SIDE_MM};
 use crate::infer::answer::Reading;
-use crate::infer::error::InferError;
+use crate::infer::error::{InferError, InferResult};
 use crate::infer::maps::{ForceMaps, contacts};
 use crate::infer::registry::Model;
 use crate::learn::task::{Answers, Reads};
@@ -46,7 +46,7 @@ impl MapPipeline {
         transfer: Option<Arc<Model>>,
         map: Arc<Model>,
         threshold_n: Option<f64>,
-    ) -> Result<Self, InferError> {
+    ) -> InferResult<Self> {
         if let Some(transfer) = &transfer
             && transfer.manifest.model.task.answers() != Answers::Frame
         {
@@ -69,7 +69,7 @@ impl MapPipeline {
         Ok(Self { transfer, map, spec, draws, threshold_n, has_forces })
     }
 
-    fn read_some(&self, frames: &[f32], kept: ForceMaps) -> Result<Vec<Reading>, InferError> {
+    fn read_some(&self, frames: &[f32], kept: ForceMaps) -> InferResult<Vec<Reading>> {
         let mut transferred = Vec::new();
         let frames_in = match &self.transfer {
             Some(transfer) => {
@@ -106,7 +106,7 @@ impl MapPipeline {
 }
 
 impl ReadyMethod for MapPipeline {
-    fn read(&self, frames: &Frames<'_>, maps: ForceMaps) -> Result<Vec<Reading>, InferError> {
+    fn read(&self, frames: &Frames<'_>, maps: ForceMaps) -> InferResult<Vec<Reading>> {
         let mut readings = Vec::new();
         let first = self.transfer.as_ref().unwrap_or(&self.map);
         for frames in frames.voltages_v.chunks(MAPS_AT_ONCE * first.plan.channels()) {
