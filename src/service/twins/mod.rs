@@ -356,7 +356,7 @@ impl TwinPool {
                 tracing::error!(error = error_chain(&error), "an event was not stored");
             }
             if fit.level == Level::Suspend
-                && let Err(refusal) = self.inner.campaign.ask(Request::Suspend(words)).await
+                && let Err(refusal) = self.inner.campaign.ask(Request::Suspend(run, words)).await
             {
                 tracing::warn!(%refusal, "the run was not suspended");
             }

@@ -413,7 +413,7 @@ impl Engine {
         if free < needed {
             let (free, needed) = (free / 1_000_000, needed / 1_000_000);
             let why = format!("disk: {free} MB free, the rest needs {needed} MB");
-            self.control.run_request(&Request::Suspend(why));
+            self.control.run_request(&Request::Suspend(job.run, why));
             return Err(Halt::Asked);
         }
         Ok(())

@@ -182,7 +182,8 @@ async fn a_suspension_while_the_cells_are_asked_before_a_tip_change_states_its_r
     engine.control.show(|status| status.run = Some(show::started(&job)));
     engine.control.begin(job.run).unwrap();
     *axes.cells.takes.lock() = Duration::from_millis(300);
-    let suspend = async move { handle.ask(Request::Suspend("a full disk".into())).await };
+    let request = Request::Suspend(job.run, "a full disk".into());
+    let suspend = async move { handle.ask(request).await };
     let (wanted, mut attempts) = (Halt::Needs(Wanted::Tips { tips: 1 }), Attempts::default());
     let mut resumes = 0;
     let decided = engine.decide(&job, wanted, &mut attempts, &mut resumes);

@@ -10,9 +10,10 @@ use crate::campaign::bench::stand_in::StandIns;
 use crate::campaign::bench::touch_off::touch_off;
 use crate::campaign::run::halt::Halt;
 use crate::campaign::run::run_state::{PausedWhy, RunEvent, RunState};
-use crate::campaign::shown::command::Request;
+use crate::campaign::shown::command::{Refusal, Request};
 use crate::campaign::shown::show;
 use crate::campaign::trial::press::Pressing;
+use crate::ids::RunUid;
 use crate::record::TouchOffRecord;
 use crate::schedule::plan::Step;
 
@@ -60,9 +61,9 @@ async fn suspended_while_it_waits(why: &str) -> (Option<String>, RunState) {
     let (axes, job) = (StandIns::default(), job());
     let (mut engine, handle) = with_handle(&axes);
     trip(&mut engine, &job);
-    let why = why.to_owned();
+    let request = Request::Suspend(job.run, why.to_owned());
     // Without a handle there is no request to wait for.
-    let suspend = async move { handle.ask(Request::Suspend(why)).await };
+    let suspend = async move { handle.ask(request).await };
     let mut attempts = Attempts::default();
     let (suspended, next) = tokio::join!(suspend, engine.wait(&job, &mut attempts, None));
     assert!(suspended.is_ok() && matches!(next, Next::Leave), "{suspended:?}");
@@ -84,10 +85,29 @@ async fn the_reason_of_a_suspension_is_not_that_of_the_next_run() {
     let (axes, job) = (StandIns::default(), job());
     let mut engine = engine(&axes);
     // The twins are behind: the run has ended.
-    let late = Request::Suspend("the model does not fit the skin".into());
+    let late = Request::Suspend(RunUid::new(), "the model does not fit the skin".into());
     engine.control.run_request(&late);
     engine.control.show(|status| status.run = Some(show::started(&job)));
     engine.control.begin(job.run).unwrap();
+    assert_eq!(engine.control.take_suspended_for(), None);
+}
+
+#[tokio::test]
+async fn a_suspension_of_a_run_that_has_ended_does_not_halt_the_next_one() {
+    let (axes, job) = (StandIns::default(), job());
+    let (mut engine, handle) = with_handle(&axes);
+    engine.control.show(|status| status.run = Some(show::started(&job)));
+    engine.control.begin(job.run).unwrap();
+    let late = Request::Suspend(RunUid::new(), "the model does not fit the skin".into());
+    let moves = async {
+        tokio::task::yield_now().await;
+        engine.control.attend()
+    };
+    let (suspended, moved) = tokio::join!(handle.ask(late), moves);
+    let words = "suspend is not possible: run 1 is active";
+    assert_eq!(suspended, Err(Refusal::State(words.into())));
+    assert!(moved.is_ok(), "{moved:?}");
+    assert_eq!(engine.control.run(), RunState::Running);
     assert_eq!(engine.control.take_suspended_for(), None);
 }
 
