@@ -138,6 +138,8 @@ async fn a_failed_attempt_is_not_repeated_before_each_axis_stands() {
     axes.y.status.lock().moving = true;
     let (failed, mut attempts) = (Halt::Failed("no frames".into()), Attempts::default());
     assert!(matches!(engine.decide(&job, failed, &mut attempts, &mut 0).await, Next::Again));
+    // Only the axis is awaited here.
+    assert!(std::mem::take(&mut attempts.has_failed));
     let mut pace = Pace::predicted(1.0);
     let waits = engine.advance(&job, &mut pace, &mut attempts);
     assert!(tokio::time::timeout(OWED_AGAIN / 2, waits).await.is_err(), "it waits");

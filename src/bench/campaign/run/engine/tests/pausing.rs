@@ -1,6 +1,7 @@
 //! Where a requested pause takes effect, and what a suspension of a run states.
 
 use std::sync::atomic::Ordering;
+use std::time::Duration;
 
 use jiff::Timestamp;
 
@@ -8,6 +9,7 @@ use super::super::{Attempts, Next};
 use super::{engine, job, trip, with_handle};
 use crate::campaign::bench::stand_in::StandIns;
 use crate::campaign::bench::touch_off::touch_off;
+use crate::campaign::run::eta::Pace;
 use crate::campaign::run::halt::Halt;
 use crate::campaign::run::run_state::{PausedWhy, RunEvent, RunState};
 use crate::campaign::shown::command::{Refusal, Request};
@@ -53,6 +55,32 @@ async fn a_pause_or_a_stop_that_is_requested_before_a_press_waits_for_no_press()
         // The reference, and two configurations: each is over its place, and no tip went down.
         let starts = [&axes.x, &axes.z].map(|axis| axis.starts.load(Ordering::SeqCst));
         assert!(presses >= 3 && starts[0] >= presses && starts[1] == 0, "{presses}: {starts:?}");
+    }
+}
+
+#[tokio::test]
+async fn the_attempt_after_a_failed_one_is_late_and_a_pause_or_a_stop_meanwhile_is_not() {
+    let job = job();
+    for request in [None, Some(Request::PauseAtCheckpoint), Some(Request::Stop)] {
+        let (mut engine, handle) = with_handle(&StandIns::default());
+        engine.control.show(|status| status.run = Some(show::started(&job)));
+        engine.control.begin(job.run).unwrap();
+        let failed = Halt::Failed("cell 1 varies by 3.00 N in the air".into());
+        let (mut attempts, mut pace) = (Attempts::default(), Pace::predicted(1.0));
+        let next = engine.decide(&job, failed, &mut attempts, &mut 0).await;
+        assert!(matches!(next, Next::Again));
+        let again = engine.advance(&job, &mut pace, &mut attempts);
+        let Some(request) = request else {
+            let waited = tokio::time::timeout(Duration::from_millis(300), again).await;
+            assert!(waited.is_err(), "{waited:?}");
+            continue;
+        };
+        // It is far shorter than the wait.
+        let limit = Duration::from_secs(5);
+        let both = async { tokio::join!(handle.ask(request), again) };
+        let (asked, again) = tokio::time::timeout(limit, both).await.expect("the wait ends");
+        assert_eq!(asked, Ok(()));
+        assert!(matches!(again, Err(Halt::Checkpoint)), "{again:?}");
     }
 }
 
