@@ -28,6 +28,7 @@ use crate::state::{PausedWhy, StoredState};
 use crate::store::{LockRow, RunRow, Soundness, Store};
 use crate::suspension::Suspensions;
 
+mod earlier;
 mod error;
 mod follow;
 pub mod estimates;
