@@ -16,7 +16,6 @@ use crate::dataset::definition::Definition;
 use crate::dataset::error::DatasetError;
 use crate::ids::RunUid;
 use crate::journal::error_chain;
-use crate::state::StoredState;
 use crate::store::RunKind;
 
 /// Interval of checking for runs that have ended, and for trials of the active run.
@@ -25,7 +24,7 @@ const FINISHED_POLL: Duration = Duration::from_secs(5);
 const END_POLL: Duration = Duration::from_millis(500);
 /// Number of such checks for its last twins.
 const END_POLLS: u32 = 20;
-/// Number of runs that are checked, newest first.
+/// Number of ended runs that are checked, the last one to end first.
 const CHECKED_RUNS: u32 = 20;
 
 /// An end of a run; a stopped run may be resumed, and ends again.
@@ -81,8 +80,8 @@ pub async fn keep(app: App) {
         if active.is_some() && begun.is_none() {
             continue;
         }
-        let runs = match app.store.runs(&[], CHECKED_RUNS, None).await {
-            Ok(page) => page.runs,
+        let runs = match app.store.ended_runs(CHECKED_RUNS).await {
+            Ok(runs) => runs,
             Err(error) => {
                 tracing::warn!(error = error_chain(&error), "the runs could not be read");
                 continue;
@@ -90,7 +89,7 @@ pub async fn keep(app: App) {
         };
         // Unknown: as a full disk.
         let free = app.store.free_bytes().await.unwrap_or(0);
-        for run in runs.iter().filter(|run| run.state == StoredState::Ended) {
+        for run in &runs {
             let this = (run.uid, run.ended_at);
             if handled.has(&this, free) || active.is_some() && begun != Some(run.scan_id) {
                 continue;

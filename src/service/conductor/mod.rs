@@ -28,6 +28,7 @@ use crate::state::{PausedWhy, StoredState};
 use crate::store::{LockRow, RunRow, Soundness, Store};
 use crate::suspension::Suspensions;
 
+mod earlier;
 mod error;
 mod follow;
 pub mod estimates;
@@ -359,9 +360,9 @@ impl Conductor {
     }
 
     fn check_code(&self, row: &RunRow, code: &str) -> ConductorResult<()> {
-        let (run, armings) = (row.uid, self.armings());
+        let (run, armings) = (row.scan_id, self.armings());
         let forbidden = |words: String| Err(ConductorError::Forbidden(words));
-        match armings.get(&run) {
+        match armings.get(&row.uid) {
             None => forbidden(format!("run {run} has not been armed")),
             // The clock may have been set back.
             Some(Arming { expires_at, armed, .. })

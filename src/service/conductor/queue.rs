@@ -60,12 +60,14 @@ impl Conductor {
         Ok(row)
     }
 
-    /// Moves a queued run to a position, from 1; a position after the end is the end. Returns the queue.
+    /// Moves a queued run to a position, from 1, but not while it begins; a position after the end is the end. Returns
+    /// the queue.
     ///
     /// # Errors
     /// `ConductorError::Forbidden` if the run is not queued; `Store` if the store fails.
     pub async fn shift(&self, run: &RunRow, position: u32) -> Result<Vec<RunRow>, ConductorError> {
-        self.require_queued(run, "moved")?;
+        let _one_at_a_time = self.inner.beginning.lock().await;
+        self.require_queued(&self.present(run).await?, "moved")?;
         Ok(self.inner.store.move_item(run.uid, position).await?)
     }
 
@@ -162,6 +164,32 @@ mod tests {
         conductor.armings().get_mut(&run.uid).unwrap().armed -= earlier;
         let refused = conductor.start(&run, &code, "ada".into()).await.unwrap_err().to_string();
         assert!(refused.contains("expired at"), "{refused}");
+    }
+
+    #[tokio::test]
+    async fn a_start_that_is_refused_for_its_code_names_the_run_by_its_number() {
+        let (conductor, _inbox, _folder) = conductor().await;
+        let run = queued_on(&conductor, early()).await;
+        let refused = async |code: &str| {
+            conductor.start(&run, code, "ada".into()).await.unwrap_err().to_string()
+        };
+        assert_eq!(refused("a").await, "run 1 has not been armed");
+        conductor.arm(&run).await.unwrap();
+        assert_eq!(refused("a").await, "code = a: not the code from arming run 1");
+    }
+
+    #[tokio::test]
+    async fn a_run_that_has_begun_as_it_is_moved_is_named_by_its_number() {
+        let (conductor, _inbox, _folder) = conductor().await;
+        let run = queued_on(&conductor, Terms::default()).await;
+        let one_at_a_time = conductor.inner.beginning.lock().await;
+        let begins = async {
+            driven(&conductor, &run).await;
+            drop(one_at_a_time);
+        };
+        let (moved, ()) = tokio::join!(conductor.shift(&run, 1), begins);
+        let words = "run 1 is running: only a queued run can be moved";
+        assert_eq!(moved.unwrap_err().to_string(), words);
     }
 
     #[tokio::test]

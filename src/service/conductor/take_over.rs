@@ -1,5 +1,5 @@
 //! After a start of the service: drives what the earlier process drove, as `restart` decides.
-//! Uses: `conductor::restart`, `campaign` (its handle), `store`. Never: motion, HTTP.
+//! Uses: `conductor::{restart, earlier}`, `campaign` (its handle), `store`. Never: motion, HTTP.
 
 use std::collections::BTreeSet;
 use std::sync::atomic::Ordering;
@@ -9,6 +9,7 @@ use jiff::Timestamp;
 use serde_json::json;
 use tracing::Instrument;
 
+use super::earlier::{RESTART_PAUSE, RESTART_TRIES};
 use super::restart::{AutoResume, TakenOver};
 use super::{Conductor, ConductorError, ConductorResult, locked, turn};
 use crate::campaign::bench::rig_state::RigState;
@@ -17,14 +18,12 @@ use crate::campaign::shown::command::{Refusal, Request};
 use crate::campaign::spans::run_span;
 use crate::ids::RunUid;
 use crate::journal::error_chain;
-use crate::store::{RunKind, RunRow};
+use crate::store::{RunKind, RunRow, StoreError};
 
 /// Interval of polling the rig's state.
 const HOMING_POLL: Duration = Duration::from_millis(50);
-/// Number of attempts to reach the rig after a restart, and the pause before the second; it
-/// doubles.
-const RESTART_TRIES: u32 = 8;
-const RESTART_PAUSE: Duration = Duration::from_secs(1);
+/// Pause before the runs that wait are read again.
+const READ_AGAIN: Duration = Duration::from_secs(10);
 
 /// What must not have changed since a run was taken over: then a person may be at the rig.
 #[derive(Debug, Clone, Copy)]
@@ -47,29 +46,13 @@ impl Conductor {
     /// # Errors
     /// `ConductorError` if the store fails, or the run cannot resume.
     pub async fn resume_after_restart(&self, resume: AutoResume) -> ConductorResult<()> {
-        let store = &self.inner.store;
-        // No run begins between the look at the active one and the mark of the others.
-        let one_at_a_time = self.inner.beginning.lock().await;
-        let (mut open, mut waiting) = (store.open_runs().await?, store.waiting_runs().await?);
-        // What a person has started in this process waits as it is.
-        waiting.retain(|run| !self.waiting().contains(&run.uid));
-        // A person may have started a run in this process already: no earlier one is driven again.
-        let active = self.active();
-        open.retain(|run| Some(run.uid) != active);
-        let TakenOver { driven, waiting, dropped } = TakenOver::of(open, waiting, resume);
-        let driven = driven.filter(|_| active.is_none());
-        store.interrupt_open_runs(driven.as_ref().map(|run| run.uid).or(active)).await?;
-        drop(one_at_a_time);
+        let (TakenOver { driven, waiting, dropped }, since) = self.left_by_earlier(resume).await?;
         // In memory all of them, whatever the store does.
         self.dropped().extend(dropped.iter().map(|(run, why)| (run.uid, (*why).to_owned())));
         for (run, why) in &dropped {
             self.drop_waiting(run, why).await?;
         }
         let was_driven = driven.is_some();
-        let since = match &driven {
-            Some(run) => store.last_trial_at(run.uid).await?.or(run.started_at),
-            None => None,
-        };
         let (first, signs) = match driven {
             // A sign of a person since the start of the service counts, also one that was followed.
             Some(run) => (run, 0),
@@ -86,7 +69,7 @@ impl Conductor {
             let why = outcome.as_ref().err().map(ToString::to_string);
             self.give_up(&first, why).await?;
         }
-        let mut waiting = store.waiting_runs().await?;
+        let mut waiting = self.inner.store.waiting_runs().await?;
         // What was dropped meanwhile stays dropped, even if the store does not know it yet.
         waiting
             .retain(|run| !(begun && run.uid == first.uid) && self.why_dropped(run.uid).is_none());
@@ -124,7 +107,18 @@ impl Conductor {
             return Ok(None);
         }
         loop {
-            let (waiting, lock) = (self.still_waiting().await?, self.inner.store.lock().await?);
+            let read = async {
+                Ok::<_, StoreError>((self.still_waiting().await?, self.inner.store.lock().await?))
+            };
+            let (waiting, lock) = match read.await {
+                Ok(read) => read,
+                Err(error) if error.is_refusal() => return Err(error.into()),
+                Err(error) => {
+                    tracing::warn!(error = error_chain(&error), "no waiting run is due yet");
+                    tokio::time::sleep(READ_AGAIN).await;
+                    continue;
+                }
+            };
             let (now, starters) = (Timestamp::now(), self.starters());
             let present = turn::Present { now, lock: lock.as_ref(), starters: &starters };
             // For a run that was started in this process the rig is not brought up: a person homes it.
@@ -166,16 +160,15 @@ impl Conductor {
     /// Drives a run again; returns `false` if the rig could not be reached. Nothing moves if a person may have come to
     /// the rig since `before`.
     async fn drive_again(&self, run: &RunRow, before: Unattended) -> ConductorResult<bool> {
-        // Before the wires are opened: nothing moves for a run that is refused.
         self.require_sound_store()?;
-        if let Err(error) = self.prepare_stored(run).await {
-            let data = json!({ "attempt": 0, "why": error.to_string() });
-            self.say(run, "not_resumed", data).await;
-            return Err(error);
-        }
         let mut pause = RESTART_PAUSE;
         for attempt in 1..=RESTART_TRIES {
-            let Err(error) = self.try_to_drive(run, before).await else {
+            let driving = async {
+                // Before the wires are opened: nothing moves for a run that is refused.
+                self.prepare_stored(run).await?;
+                self.try_to_drive(run, before).await
+            };
+            let Err(error) = driving.await else {
                 tracing::info!(attempt, "the run is driven again");
                 self.say(run, "resumed", json!({ "attempt": attempt })).await;
                 return Ok(true);
@@ -183,12 +176,13 @@ impl Conductor {
             let why = error.to_string();
             self.say(run, "not_resumed", json!({ "attempt": attempt, "why": why })).await;
             let tripped = self.inner.campaign.status().rig.state == RigState::Tripped;
-            let for_good = matches!(
-                error,
+            let for_good = match &error {
                 ConductorError::Problems { .. }
-                    | ConductorError::PlanDiffers { .. }
-                    | ConductorError::Forbidden(_)
-            );
+                | ConductorError::PlanDiffers { .. }
+                | ConductorError::Forbidden(_) => true,
+                ConductorError::Store(error) => error.is_refusal(),
+                _ => false,
+            };
             if tripped || for_good {
                 return Err(error);
             }
@@ -423,6 +417,22 @@ mod tests {
         let state = conductor.present(&driven).await.unwrap().state;
         assert_eq!(state, StoredState::Interrupted);
         assert!(conductor.why_dropped(next.uid).is_some());
+    }
+
+    #[tokio::test]
+    async fn a_run_is_not_given_up_because_the_store_fails_once() {
+        let (conductor, mut inbox, _folder) = conductor().await;
+        let [driven, next] = earlier(&conductor).await;
+        conductor.inner.store.close().await;
+        let before = Unattended { since: None, signs: 0 };
+        let waits = async {
+            tokio::select! {
+                driven = conductor.drive_again(&driven, before) => panic!("{driven:?}"),
+                due = conductor.first_due(vec![next]) => panic!("{due:?}"),
+                () = tokio::time::sleep(RESTART_PAUSE / 2) => {}
+            }
+        };
+        unasked(&mut inbox, waits).await;
     }
 
     #[tokio::test]

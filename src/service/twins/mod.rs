@@ -21,6 +21,7 @@ use serde::Serialize;
 use sim_core::calibration::Calibration;
 use sim_core::forward::ForwardModel;
 use sim_core::sensor::Sensor;
+use tokio::task::JoinError;
 use tracing::Instrument;
 use utoipa::ToSchema;
 
@@ -47,6 +48,8 @@ const PENDING_POLL: Duration = Duration::from_millis(250);
 const BACK_OFF: Duration = Duration::from_secs(5);
 /// Interval at which skipped trials, and runs without pending trials, are checked again.
 const RECONCILE: Duration = Duration::from_secs(60);
+/// Number of panics of a worker over one page after which the page is set aside.
+const PAGE_PANICS: u32 = 3;
 
 /// Status of the pool.
 #[derive(Debug, Clone, Default, Serialize, ToSchema)]
@@ -115,7 +118,45 @@ struct Progress {
     done: HashSet<RunUid>,
     /// Runs whose files are invalid, or that have a damaged trial.
     unusable: HashSet<RunUid>,
+    /// Panics of a worker over a page, by its first trial; 0: over the model of the run.
+    panics: HashMap<(RunUid, TrialId), u32>,
+    /// Trials of pages that were set aside. The next process tries them again.
+    set_aside: HashSet<TrialId>,
     watch: Option<(RunUid, DriftWatch)>,
+}
+
+impl Progress {
+    /// Counts a panic over a page that begins with this trial. Returns whether it is not tried again.
+    fn panicked(&mut self, run: RunUid, first: TrialId) -> bool {
+        let panics = self.panics.entry((run, first)).or_default();
+        *panics += 1;
+        *panics >= PAGE_PANICS
+    }
+
+    /// Returns the twins of a page. The page has none if it is set aside, because a worker panics over it each time:
+    /// other pages and older runs still get their twins.
+    ///
+    /// # Errors
+    /// `PoolError::Worker` if a worker panicked, and the page is tried again.
+    fn made(
+        &mut self,
+        run: RunUid,
+        page: &[TrialId],
+        made: Result<Vec<Twin>, JoinError>,
+    ) -> Result<Vec<Twin>, PoolError> {
+        let panic = match made {
+            Ok(twins) => return Ok(twins),
+            Err(panic) => panic,
+        };
+        let first = page.first().copied().unwrap_or(TrialId(0));
+        if !self.panicked(run, first) {
+            return Err(PoolError::Worker);
+        }
+        let (trials, first) = (page.len(), first.0);
+        tracing::error!(%panic, first, trials, "trials get no twins before the next start");
+        self.set_aside.extend(page);
+        Ok(Vec::new())
+    }
 }
 
 impl TwinPool {
@@ -216,10 +257,15 @@ impl TwinPool {
                     progress.unusable.insert(run);
                     return Err(error);
                 }
+                Err(PoolError::Worker) if progress.panicked(run, TrialId(0)) => {
+                    tracing::error!(%run, "a run gets no twins before the next start");
+                    progress.unusable.insert(run);
+                    return Err(PoolError::Worker);
+                }
                 Err(error) => return Err(error),
             };
             let after = progress.passed.get(&run).copied().unwrap_or(TrialId(0));
-            let trials = match store.pending_twins(run, recipe.id, after, limit).await {
+            let mut trials = match store.pending_twins(run, recipe.id, after, limit).await {
                 // Older runs still get their twins.
                 Err(error @ (StoreError::Damaged { .. } | StoreError::Unreadable { .. })) => {
                     progress.unusable.insert(run);
@@ -227,7 +273,7 @@ impl TwinPool {
                 }
                 trials => trials?,
             };
-            let Some(last) = trials.last().map(|t| t.trial_id) else {
+            let Some((last, scan_id)) = trials.last().map(|t| (t.trial_id, t.scan_id)) else {
                 // Further trials of the active run will follow.
                 if Some(run) != active {
                     progress.done.insert(run);
@@ -235,16 +281,18 @@ impl TwinPool {
                 }
                 continue;
             };
-            let span = run_span(run, trials[0].scan_id);
+            trials.retain(|trial| !progress.set_aside.contains(&trial.trial_id));
+            let span = run_span(run, scan_id);
             let making = async {
                 let began = Instant::now();
+                let page: Vec<TrialId> = trials.iter().map(|trial| trial.trial_id).collect();
                 let trials = Arc::new(trials);
                 let made = twins_of(&recipe, &trials, self.inner.workers).await;
-                let twins = made.map_err(|_| PoolError::Worker)?;
+                let twins = progress.made(run, &page, made)?;
                 store.insert_twins(recipe.id, twins.clone()).await?;
                 progress.passed.insert(run, last);
                 self.count_made(twins.len(), began.elapsed());
-                if Some(run) == active {
+                if Some(run) == active && !twins.is_empty() {
                     self.watch(run, &recipe, &trials, &twins, progress).await?;
                 }
                 Ok(true)
@@ -356,7 +404,7 @@ impl TwinPool {
                 tracing::error!(error = error_chain(&error), "an event was not stored");
             }
             if fit.level == Level::Suspend
-                && let Err(refusal) = self.inner.campaign.ask(Request::Suspend(words)).await
+                && let Err(refusal) = self.inner.campaign.ask(Request::Suspend(run, words)).await
             {
                 tracing::warn!(%refusal, "the run was not suspended");
             }
@@ -390,5 +438,35 @@ fn pairing(trial: &TrialRow, twin: &Twin) -> Option<Pairing> {
             })
         }
         _ => None,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use tokio::task::spawn_blocking;
+
+    use super::*;
+
+    #[tokio::test]
+    async fn a_page_over_which_a_worker_panics_is_set_aside_and_others_get_their_twins() {
+        let (mut progress, [run, older]) = (Progress::default(), [RunUid::new(), RunUid::new()]);
+        let panics = async || spawn_blocking(|| -> Vec<Twin> { panic!("a test") }).await;
+        let (page, next) = ([1, 2].map(TrialId), [3, 4].map(TrialId));
+        for _ in 1..PAGE_PANICS {
+            let made = progress.made(run, &page, panics().await);
+            assert!(matches!(made, Err(PoolError::Worker)), "it is tried again: {made:?}");
+            assert!(progress.set_aside.is_empty());
+        }
+        let made = progress.made(run, &page, panics().await);
+        assert!(made.is_ok_and(|twins| twins.is_empty()), "the loop continues after it");
+        assert_eq!(progress.set_aside, HashSet::from(page));
+        for (run, page) in [(run, next), (older, page)] {
+            assert!(progress.made(run, &page, panics().await).is_err(), "its first panic");
+        }
+        let outcome = TwinOutcome::Failure("a contact off the skin".into());
+        let twins = vec![Twin { trial: next[0], outcome }];
+        let made = progress.made(run, &next, Ok(twins.clone()));
+        assert_eq!(made.unwrap(), twins);
+        assert!(progress.made(run, &[], Ok(Vec::new())).is_ok(), "all of a page are set aside");
     }
 }

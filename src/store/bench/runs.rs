@@ -70,6 +70,18 @@ impl Store {
         Ok(RunPage { runs, next })
     }
 
+    /// Returns at most `limit` runs that have ended, the last one to end first.
+    ///
+    /// # Errors
+    /// `Sql` or `Unreadable` if the read fails.
+    pub async fn ended_runs(&self, limit: u32) -> StoreResult<Vec<RunRow>> {
+        let query = sqlx::query(
+            "SELECT * FROM runs WHERE state = 'ended' ORDER BY ended_at DESC, scan_id DESC LIMIT ?1",
+        )
+        .bind(i64::from(limit));
+        self.rows("reading ended runs", query, RunRow::read).await
+    }
+
     /// Returns the newest run that began before a time and pressed a skin, by the digest of its sensor file;
     /// `None` if no such run has a stored force.
     ///

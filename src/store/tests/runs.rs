@@ -244,6 +244,30 @@ async fn runs_come_in_pages_newest_first() {
 }
 
 #[tokio::test]
+async fn the_last_run_to_end_is_found_behind_newer_runs() {
+    let (_folder, store) = fresh().await;
+    let mut uids = Vec::new();
+    for _ in 0..4 {
+        uids.push(store.enqueue(new_run(RunKind::RealHex)).await.unwrap().uid);
+    }
+    let ended = async |limit| {
+        let runs = store.ended_runs(limit).await.unwrap();
+        runs.iter().map(|run| run.scan_id).collect::<Vec<_>>()
+    };
+    assert_eq!(ended(1).await, [0_i64; 0]);
+    let at = ["2026-11-20T18:00:00Z", "2026-11-20T19:00:00Z"].map(time);
+    store.end_run(uids[0], ExitStatus::Stopped, "stopped", at[0]).await.unwrap();
+    assert_eq!(ended(1).await, [1], "of four, the three newer ones are queued");
+    store.end_run(uids[1], ExitStatus::Success, "finished", at[0]).await.unwrap();
+    assert_eq!(ended(2).await, [2, 1]);
+    // A stopped run is resumed and ends again.
+    store.run_state(uids[0], StateChange::to(StoredState::Running), at[1]).await.unwrap();
+    assert_eq!(ended(2).await, [2]);
+    store.end_run(uids[0], ExitStatus::Success, "finished", at[1]).await.unwrap();
+    assert_eq!(ended(1).await, [1]);
+}
+
+#[tokio::test]
 async fn runs_are_selected_by_conditions() {
     let (_folder, store) = fresh().await;
     for experiment in ["one", "two", "three"] {

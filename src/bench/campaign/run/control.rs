@@ -425,7 +425,7 @@ impl Control {
         match request {
             Request::PauseAtCheckpoint => Some(RunEvent::PauseAtCheckpoint),
             Request::PauseNow => Some(RunEvent::PauseNow),
-            Request::Suspend(why) => {
+            Request::Suspend(_, why) => {
                 self.suspended_for = Some(why.clone());
                 Some(RunEvent::Suspend(PausedWhy::Suspender))
             }
@@ -472,7 +472,7 @@ pub fn name(request: &Request) -> &'static str {
         Request::Mounted { .. } => "tips",
         Request::Start(_) => "start",
         Request::PauseAtCheckpoint | Request::PauseNow => "pause",
-        Request::Suspend(_) => "suspend",
+        Request::Suspend(..) => "suspend",
         Request::Resume => "resume",
         Request::Stop => "stop",
         Request::Abort | Request::AbortMotion => "abort",

@@ -22,6 +22,7 @@ use crate::campaign::shown::rig_action::RigAction;
 use crate::campaign::shown::run_action::{self, ActionOnRun};
 use crate::campaign::shown::samples::{ForceSample, Samples};
 use crate::campaign::shown::status::{Done, Status};
+use crate::ids::RunUid;
 use crate::record::Untouched;
 use crate::rig::traits::Frame;
 
@@ -63,8 +64,8 @@ pub enum Request {
     PauseAtCheckpoint,
     /// Raise now and pause.
     PauseNow,
-    /// Raise now and wait, requested by a suspender, with its reason.
-    Suspend(String),
+    /// Raise now and wait, requested of this run by a suspender, with its reason.
+    Suspend(RunUid, String),
     /// Resume a paused run.
     Resume,
     /// Finish the trial, raise, end.
@@ -107,7 +108,7 @@ impl Request {
             Self::Start(_)
             | Self::PauseAtCheckpoint
             | Self::PauseNow
-            | Self::Suspend(_)
+            | Self::Suspend(..)
             | Self::Resume
             | Self::Stop
             | Self::Abort
@@ -127,6 +128,11 @@ impl Request {
                 let run = status.run.as_ref()?;
                 return run_action::pause_refused(RunEvent::PauseNow, run);
             }
+            // A suspender is behind the campaign: another run may have begun.
+            Self::Suspend(run, _) => {
+                let other = status.run.as_ref().filter(|active| active.uid != *run)?;
+                return Some(format!("suspend is not possible: run {} is active", other.scan_id));
+            }
             Self::PauseAtCheckpoint => ActionOnRun::Pause,
             Self::Resume => ActionOnRun::Resume,
             Self::Stop => ActionOnRun::Stop,
@@ -141,7 +147,6 @@ impl Request {
             | Self::Reset
             | Self::Mounted { .. }
             | Self::Start(_)
-            | Self::Suspend(_)
             | Self::CameLate
             | Self::Shutdown => return None,
         };
@@ -204,7 +209,7 @@ impl Envelope {
                 | Request::Tare
                 | Request::PauseAtCheckpoint
                 | Request::PauseNow
-                | Request::Suspend(_)
+                | Request::Suspend(..)
                 | Request::Stop
                 | Request::Abort
                 | Request::AbortMotion

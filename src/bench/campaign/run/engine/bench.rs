@@ -104,7 +104,7 @@ impl Engine {
             Request::Start(_)
             | Request::PauseAtCheckpoint
             | Request::PauseNow
-            | Request::Suspend(_)
+            | Request::Suspend(..)
             | Request::Resume
             | Request::Stop
             | Request::Abort

@@ -204,6 +204,7 @@ impl Engine {
     /// Handles a failed attempt: retries, skips the configuration, or ends the run.
     fn failed(&mut self, job: &Job, reason: String, attempts: &mut Attempts) -> Next {
         self.note_attempt(job, &reason, attempts);
+        attempts.has_failed = true;
         let configuration = attempts.configuration;
         if attempts.of_configuration <= job.plan.policy.retries {
             attempts.of_configuration += 1;

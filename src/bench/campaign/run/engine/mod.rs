@@ -394,6 +394,8 @@ struct Attempts {
     configuration: Option<u32>,
     /// Number of configurations given up.
     skipped: u32,
+    /// Whether the attempt before the next one has failed.
+    has_failed: bool,
     /// Placement that a person has confirmed, with that confirmation.
     confirmed: Option<(u32, Confirmation)>,
     /// The placement that was measured last.
@@ -419,6 +421,7 @@ impl Default for Attempts {
             of_configuration: 1,
             configuration: None,
             skipped: 0,
+            has_failed: false,
             confirmed: None,
             last: Last::Unknown,
             not_measured: None,

@@ -39,6 +39,9 @@ use crate::schedule::visits::StepOfTour;
 
 /// Longest wait for it before the next attempt of a run.
 const OWED_LIMIT: Duration = Duration::from_secs(30);
+/// Wait after a failed attempt, process s. What disturbed it, such as a vibration, would fail the next ones, too: with
+/// the default policy a run gives up after at least 8 min of it.
+const FAILED_WAIT_S: f64 = 15.0;
 
 impl Engine {
     /// Checks that a run may start, and arms the rig for it: at the measured pace of the wires, the
@@ -204,8 +207,29 @@ impl Engine {
         Ok(())
     }
 
+    /// Waits after a failed attempt, with raised tips.
+    ///
+    /// # Errors
+    /// As `checkpoint`: a request ends the wait.
+    async fn wait_after_failure(&mut self, attempts: &mut Attempts) -> Result<(), Halt> {
+        let clock = self.connection.as_ref().map(|connection| connection.clock.clone());
+        let Some(clock) = clock.filter(|_| std::mem::take(&mut attempts.has_failed)) else {
+            return Ok(());
+        };
+        let until = clock.now() + clock.wall(FAILED_WAIT_S);
+        loop {
+            self.control.checkpoint()?;
+            let left = until.saturating_duration_since(clock.now());
+            if left.is_zero() {
+                return Ok(());
+            }
+            tokio::time::sleep(left.min(IDLE_TICK)).await;
+            self.look().await;
+        }
+    }
+
     /// Reads what is stored and executes the remaining steps. Returns a message if none remain. After a failed attempt
-    /// it waits for the end of its safe end.
+    /// it waits for the end of its safe end, and then `FAILED_WAIT_S`.
     pub(super) async fn advance(
         &mut self,
         job: &Job,
@@ -214,6 +238,7 @@ impl Engine {
     ) -> Result<Option<String>, Halt> {
         if job.plan.kind == Kind::RealHex {
             self.complete_safe_end().await?;
+            self.wait_after_failure(attempts).await?;
         }
         let depths = job.plan.depths_mm.len();
         let mut progress = self.stored(job).await?;
@@ -413,7 +438,7 @@ impl Engine {
         if free < needed {
             let (free, needed) = (free / 1_000_000, needed / 1_000_000);
             let why = format!("disk: {free} MB free, the rest needs {needed} MB");
-            self.control.run_request(&Request::Suspend(why));
+            self.control.run_request(&Request::Suspend(job.run, why));
             return Err(Halt::Asked);
         }
         Ok(())

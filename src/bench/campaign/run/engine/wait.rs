@@ -187,7 +187,7 @@ impl Engine {
                 let _ = answer.send(repeated);
                 waited
             }
-            Request::Stop | Request::Abort | Request::AbortMotion | Request::Suspend(_) => {
+            Request::Stop | Request::Abort | Request::AbortMotion | Request::Suspend(..) => {
                 let event = self.control.run_request(&request)?;
                 let mut outcome = self.control.run_event(event);
                 if outcome.is_ok() {

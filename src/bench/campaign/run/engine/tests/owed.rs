@@ -138,6 +138,8 @@ async fn a_failed_attempt_is_not_repeated_before_each_axis_stands() {
     axes.y.status.lock().moving = true;
     let (failed, mut attempts) = (Halt::Failed("no frames".into()), Attempts::default());
     assert!(matches!(engine.decide(&job, failed, &mut attempts, &mut 0).await, Next::Again));
+    // Only the axis is awaited here.
+    assert!(std::mem::take(&mut attempts.has_failed));
     let mut pace = Pace::predicted(1.0);
     let waits = engine.advance(&job, &mut pace, &mut attempts);
     assert!(tokio::time::timeout(OWED_AGAIN / 2, waits).await.is_err(), "it waits");
@@ -182,7 +184,8 @@ async fn a_suspension_while_the_cells_are_asked_before_a_tip_change_states_its_r
     engine.control.show(|status| status.run = Some(show::started(&job)));
     engine.control.begin(job.run).unwrap();
     *axes.cells.takes.lock() = Duration::from_millis(300);
-    let suspend = async move { handle.ask(Request::Suspend("a full disk".into())).await };
+    let request = Request::Suspend(job.run, "a full disk".into());
+    let suspend = async move { handle.ask(request).await };
     let (wanted, mut attempts) = (Halt::Needs(Wanted::Tips { tips: 1 }), Attempts::default());
     let mut resumes = 0;
     let decided = engine.decide(&job, wanted, &mut attempts, &mut resumes);

@@ -1,6 +1,7 @@
 //! Where a requested pause takes effect, and what a suspension of a run states.
 
 use std::sync::atomic::Ordering;
+use std::time::Duration;
 
 use jiff::Timestamp;
 
@@ -8,11 +9,13 @@ use super::super::{Attempts, Next};
 use super::{engine, job, trip, with_handle};
 use crate::campaign::bench::stand_in::StandIns;
 use crate::campaign::bench::touch_off::touch_off;
+use crate::campaign::run::eta::Pace;
 use crate::campaign::run::halt::Halt;
 use crate::campaign::run::run_state::{PausedWhy, RunEvent, RunState};
-use crate::campaign::shown::command::Request;
+use crate::campaign::shown::command::{Refusal, Request};
 use crate::campaign::shown::show;
 use crate::campaign::trial::press::Pressing;
+use crate::ids::RunUid;
 use crate::record::TouchOffRecord;
 use crate::schedule::plan::Step;
 
@@ -55,14 +58,40 @@ async fn a_pause_or_a_stop_that_is_requested_before_a_press_waits_for_no_press()
     }
 }
 
+#[tokio::test]
+async fn the_attempt_after_a_failed_one_is_late_and_a_pause_or_a_stop_meanwhile_is_not() {
+    let job = job();
+    for request in [None, Some(Request::PauseAtCheckpoint), Some(Request::Stop)] {
+        let (mut engine, handle) = with_handle(&StandIns::default());
+        engine.control.show(|status| status.run = Some(show::started(&job)));
+        engine.control.begin(job.run).unwrap();
+        let failed = Halt::Failed("cell 1 varies by 3.00 N in the air".into());
+        let (mut attempts, mut pace) = (Attempts::default(), Pace::predicted(1.0));
+        let next = engine.decide(&job, failed, &mut attempts, &mut 0).await;
+        assert!(matches!(next, Next::Again));
+        let again = engine.advance(&job, &mut pace, &mut attempts);
+        let Some(request) = request else {
+            let waited = tokio::time::timeout(Duration::from_millis(300), again).await;
+            assert!(waited.is_err(), "{waited:?}");
+            continue;
+        };
+        // It is far shorter than the wait.
+        let limit = Duration::from_secs(5);
+        let both = async { tokio::join!(handle.ask(request), again) };
+        let (asked, again) = tokio::time::timeout(limit, both).await.expect("the wait ends");
+        assert_eq!(asked, Ok(()));
+        assert!(matches!(again, Err(Halt::Checkpoint)), "{again:?}");
+    }
+}
+
 /// What a run that waits after a trip shows, and the state that it reaches, once it is suspended for this reason.
 async fn suspended_while_it_waits(why: &str) -> (Option<String>, RunState) {
     let (axes, job) = (StandIns::default(), job());
     let (mut engine, handle) = with_handle(&axes);
     trip(&mut engine, &job);
-    let why = why.to_owned();
+    let request = Request::Suspend(job.run, why.to_owned());
     // Without a handle there is no request to wait for.
-    let suspend = async move { handle.ask(Request::Suspend(why)).await };
+    let suspend = async move { handle.ask(request).await };
     let mut attempts = Attempts::default();
     let (suspended, next) = tokio::join!(suspend, engine.wait(&job, &mut attempts, None));
     assert!(suspended.is_ok() && matches!(next, Next::Leave), "{suspended:?}");
@@ -84,10 +113,29 @@ async fn the_reason_of_a_suspension_is_not_that_of_the_next_run() {
     let (axes, job) = (StandIns::default(), job());
     let mut engine = engine(&axes);
     // The twins are behind: the run has ended.
-    let late = Request::Suspend("the model does not fit the skin".into());
+    let late = Request::Suspend(RunUid::new(), "the model does not fit the skin".into());
     engine.control.run_request(&late);
     engine.control.show(|status| status.run = Some(show::started(&job)));
     engine.control.begin(job.run).unwrap();
+    assert_eq!(engine.control.take_suspended_for(), None);
+}
+
+#[tokio::test]
+async fn a_suspension_of_a_run_that_has_ended_does_not_halt_the_next_one() {
+    let (axes, job) = (StandIns::default(), job());
+    let (mut engine, handle) = with_handle(&axes);
+    engine.control.show(|status| status.run = Some(show::started(&job)));
+    engine.control.begin(job.run).unwrap();
+    let late = Request::Suspend(RunUid::new(), "the model does not fit the skin".into());
+    let moves = async {
+        tokio::task::yield_now().await;
+        engine.control.attend()
+    };
+    let (suspended, moved) = tokio::join!(handle.ask(late), moves);
+    let words = "suspend is not possible: run 1 is active";
+    assert_eq!(suspended, Err(Refusal::State(words.into())));
+    assert!(moved.is_ok(), "{moved:?}");
+    assert_eq!(engine.control.run(), RunState::Running);
     assert_eq!(engine.control.take_suspended_for(), None);
 }
 
