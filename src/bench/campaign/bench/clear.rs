@@ -32,7 +32,7 @@ impl Stage {
     /// # Errors
     /// A trip if not, if a device does not reply, or if the last readings are too old; a request meanwhile.
     pub(super) async fn require_still_clear(
-        &self,
+        &mut self,
         control: &mut Control,
         clear_at: &mut Option<Instant>,
     ) -> Result<(), Halt> {
@@ -52,6 +52,10 @@ impl Stage {
         let (z, reading) = self.in_time(control, Some(*last), both).await?;
         interlock::check_unloaded(&self.config.cells, self.tips, &reading, &self.tare_v)?;
         *last = z.at.min(reading.at);
+        // A jog reads the cells with its axis, too: since its last sample they were read here.
+        if let Some(sample) = &mut self.last_sample {
+            sample.at = sample.at.max(reading.at);
+        }
         Ok(())
     }
 

@@ -350,7 +350,7 @@ impl Stage {
         self.home_axes(control, &[AxisName::X, AxisName::Y, AxisName::Radial]).await
     }
 
-    async fn home_axes(&self, control: &mut Control, names: &[AxisName]) -> Result<(), Halt> {
+    async fn home_axes(&mut self, control: &mut Control, names: &[AxisName]) -> Result<(), Halt> {
         let homes_z = names.contains(&AxisName::Z);
         // Before z moves: until a late reply to its start it may already go into a load.
         let mut first = match homes_z {

@@ -274,7 +274,8 @@ impl Control {
     /// As `attending`, for a raise, which no request ends. Returns its result, and that of `attend` meanwhile.
     ///
     /// # Errors
-    /// The first one of `attend`, next to the result.
+    /// The newest trip of `attend`, which states a suspension only once, otherwise its first request, next to the
+    /// result.
     pub async fn attending_to_the_end<T>(
         &mut self,
         raise: impl Future<Output = T>,
@@ -285,7 +286,12 @@ impl Control {
             tokio::select! {
                 biased;
                 done = &mut raise => return (done, asked),
-                () = tokio::time::sleep(REQUESTS_POLL) => asked = asked.and(self.attend()),
+                () = tokio::time::sleep(REQUESTS_POLL) => {
+                    let now = self.attend();
+                    if asked.is_ok() || now.as_ref().is_err_and(|halt| halt.as_trip().is_some()) {
+                        asked = now;
+                    }
+                }
             }
         }
     }

@@ -323,7 +323,7 @@ impl Handle {
 
     /// As [`Self::ask`]. `signs`: signs of a person that were known when the request was decided; a start is refused after
     /// a further one. `decided_at`: when that was; a start or a resume is refused after a lock that was taken later, and a
-    /// homing or a jog if a safe end had to be completed before it.
+    /// homing or a jog if a safe end had to be completed before it, or if it was taken up more than 1 s later.
     ///
     /// # Errors
     /// As [`Self::ask`].

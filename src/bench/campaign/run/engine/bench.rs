@@ -12,7 +12,8 @@ use tokio::task::JoinSet;
 use tokio::time::Instant;
 
 use super::{
-    Answer, Connection, Engine, JUST_MOVED, NO_JOG_AFTER_ABORT, Owed, no_stage, no_wires, trip_of,
+    Answer, Connection, DECIDED_WITHIN, Engine, JUST_MOVED, NO_JOG_AFTER_ABORT, Owed, no_stage,
+    no_wires, trip_of,
 };
 use crate::campaign::bench::estop::AxisStop;
 use crate::campaign::bench::interlock::{self, Trip, TripKind};
@@ -332,14 +333,16 @@ impl Engine {
     }
 
     /// No axis is moved that has not acknowledged its stop, or moves after it: a safe end that is not complete is
-    /// repeated first. That takes a while: a lock that was taken after the request was decided holds.
+    /// repeated first. A lock that was taken meanwhile, or while the request waited for `DECIDED_WITHIN`, holds.
     async fn require_complete(&mut self, answer: &Answer) -> Result<(), Refusal> {
+        let mut is_late = self.decided_at.1.elapsed() > DECIDED_WITHIN;
         if let Owed::Wires(_, height) = self.owed {
+            is_late = true;
             self.repeat_safe_end(height).await;
             self.require_nothing_owed()?;
-            if let Some(awaited) = self.control.taken_lock(self.decided_at).await {
-                return Err(Refusal::Busy(format!("nothing moves before {awaited}")));
-            }
+        }
+        if is_late && let Some(awaited) = self.control.taken_lock(self.decided_at).await {
+            return Err(Refusal::Busy(format!("nothing moves before {awaited}")));
         }
         if answer.is_closed() { Err(Refusal::Gone) } else { Ok(()) }
     }

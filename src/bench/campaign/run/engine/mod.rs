@@ -67,6 +67,8 @@ const STORE_PATIENCE: Duration = Duration::from_secs(10);
 const JUST_MOVED: Duration = Duration::from_secs(10);
 /// Time after such an abort within which no jog begins, wall: a held button requests one after the other.
 const NO_JOG_AFTER_ABORT: Duration = Duration::from_secs(5);
+/// Time from the decision on a homing or a jog from which on a lock is read again before it begins, wall.
+const DECIDED_WITHIN: Duration = Duration::from_secs(1);
 /// Longest wait between two automatic resumes, wall.
 const LONGEST_BACKOFF: Duration = Duration::from_secs(120);
 

@@ -3,7 +3,8 @@
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 
-use super::{answered, signs, with_handle};
+use super::{answered, signs, suspensions, with_handle};
+use crate::campaign::bench::interlock::TripKind;
 use crate::campaign::bench::rig_state::RigState;
 use crate::campaign::bench::stand_in::{StandIn, StandIns};
 use crate::campaign::shown::command::{Refusal, Request};
@@ -67,6 +68,22 @@ async fn an_abort_during_a_raise_is_accepted_at_once_and_ends_the_motion_once_z_
     assert_eq!((aborted, stops), (Ok(()), 0), "accepted while z rises, which no stop ends");
     assert_eq!(starts(&axes.x), x_starts);
     assert_eq!(engine.control.inbox.status.borrow().rig.trip, None);
+}
+
+#[tokio::test]
+async fn a_suspension_of_the_computer_during_a_raise_trips_although_a_request_came_before() {
+    let (mut engine, handle) = with_handle(&StandIns::default());
+    let suspended_s = suspensions(&mut engine);
+    let raise = async {
+        let aborted = handle.ask(Request::AbortMotion).await;
+        suspended_s.store(3600, Ordering::SeqCst);
+        // It is answered once the suspension was noticed.
+        (aborted, handle.ask(Request::CameLate).await)
+    };
+    let (both, asked) = engine.control.attending_to_the_end(raise).await;
+    assert_eq!(both, (Ok(()), Ok(())));
+    let halt = asked.unwrap_err();
+    assert_eq!(halt.as_trip().map(|trip| trip.kind), Some(TripKind::Service), "{halt:?}");
 }
 
 #[tokio::test]

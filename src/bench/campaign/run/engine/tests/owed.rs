@@ -7,7 +7,7 @@ use tokio::sync::oneshot;
 use tokio::time::Instant;
 
 use super::super::{Attempts, Engine, Next, OWED_AGAIN, Owed};
-use super::{answered, engine, job, with_handle};
+use super::{answered, engine, job, signs, with_handle};
 use crate::campaign::bench::rig_state::{RigEvent, RigState};
 use crate::campaign::bench::stage::Height;
 use crate::campaign::bench::stand_in::StandIns;
@@ -82,6 +82,27 @@ async fn nothing_moves_under_a_lock_that_was_taken_while_the_safe_end_was_comple
     // The caller of a later request knows of it.
     engine.owed = Owed::Wires(Instant::now(), Height::Clear);
     lock(-60);
+    assert_eq!(answered(&mut engine, handle.ask(jog())).await, Ok(()));
+}
+
+#[tokio::test]
+async fn nothing_moves_under_a_lock_that_was_taken_while_the_request_waited() {
+    let axes = StandIns::default();
+    let (mut engine, handle) = with_handle(&axes);
+    engine.control.rig_event(RigEvent::Homed).unwrap();
+    let earlier = |s: i64| jiff::Timestamp::now() - jiff::SignedDuration::from_secs(s);
+    *axes.journal.locked_at.lock() = Some(earlier(1));
+    let jog = || Request::Jog { axis: "y".into(), to_mm: 10.0 };
+    for request in [jog(), Request::Home] {
+        // A safe end was completed meanwhile.
+        let decided_at = (earlier(3), Instant::now() - Duration::from_secs(3));
+        let asked = handle.ask_since(request, signs(&engine), decided_at);
+        let refused = answered(&mut engine, asked).await;
+        let Err(Refusal::Busy(words)) = &refused else { panic!("{refused:?}") };
+        assert!(words.starts_with("nothing moves before the release"), "{words}");
+    }
+    assert_eq!(axes.y.starts.load(Ordering::SeqCst), 0);
+    // The caller of a later request knows of it.
     assert_eq!(answered(&mut engine, handle.ask(jog())).await, Ok(()));
 }
 

@@ -247,6 +247,21 @@ async fn a_lateral_motion_ends_when_z_sinks_or_a_cell_reads_a_load() {
     }
 }
 
+#[tokio::test]
+async fn a_jog_on_slow_wires_counts_each_reading_of_the_cells() {
+    let axes = StandIns::default();
+    let mut engine = engine(&axes);
+    // From its first sample to the next one four replies are awaited.
+    for takes in [&axes.cells.takes, &axes.z.status_takes, &axes.x.status_takes] {
+        *takes.lock() = Duration::from_millis(300);
+    }
+    let stage = engine.connection.as_mut().unwrap().stage.as_mut().unwrap();
+    stage.config.limits.sample_age_ms = Some(1100);
+    let target = Target::of(AxisName::X, 100.0);
+    let jogged = stage.checked_travel(&mut engine.control, target).await;
+    assert!(jogged.is_ok(), "{jogged:?}");
+}
+
 /// Waits until an axis was started; from then on the cells do not reply.
 async fn silence(axes: &StandIns, axis: &StandIn) {
     while axis.starts.load(Ordering::SeqCst) == 0 {
