@@ -133,11 +133,12 @@ impl RigConfig {
     }
 
     /// Longest time without a fresh sample of cells and positions in a motion and while pressing, wall ms. By default
-    /// one reply may be lost: the longest wait for it, and two updates of the cells, at least 200 ms, for its repetition.
+    /// one reply may be lost, also in a lateral motion, which reads each axis and the cells: the longest wait for it, and
+    /// three updates of the cells, at least 300 ms, for its repetition and the other readings.
     pub fn sample_age_ms(&self) -> u64 {
         let wait_ms = self.lines.values().map(LineConfig::timeout_ms).max().unwrap_or(0);
-        let updates_ms = 2.0 * self.cells.update_ms / self.clock_rate;
-        self.limits.sample_age_ms.unwrap_or(wait_ms + updates_ms.clamp(200.0, 1e6) as u64)
+        let updates_ms = 3.0 * self.cells.update_ms / self.clock_rate;
+        self.limits.sample_age_ms.unwrap_or(wait_ms + updates_ms.clamp(300.0, 1e6) as u64)
     }
 
     fn check(&self, file: &str) -> Result<(), Vec<Problem>> {
@@ -220,11 +221,11 @@ mod tests {
     fn a_sample_may_be_as_old_as_one_lost_reply_makes_it() {
         let text = include_str!("../../../experiments/rigs/iai-modbus-tcp.toml");
         let mut rig = RigConfig::from_toml("r.toml", text).unwrap();
-        assert_eq!(rig.sample_age_ms(), 500, "300 ms of a wire and two updates of 100 ms");
+        assert_eq!(rig.sample_age_ms(), 600, "300 ms of a wire and three updates of 100 ms");
         rig.cells.update_ms = 250.0;
-        assert_eq!(rig.sample_age_ms(), 800);
+        assert_eq!(rig.sample_age_ms(), 1050);
         rig.cells.update_ms = 10.0;
-        assert_eq!(rig.sample_age_ms(), 500);
+        assert_eq!(rig.sample_age_ms(), 600);
         rig.limits.sample_age_ms = Some(120);
         assert_eq!(rig.sample_age_ms(), 120);
     }
