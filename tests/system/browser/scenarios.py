@@ -5,6 +5,7 @@ CONTROL is the address of the virtual rig's control socket: the hands that place
 browser, PALPATE_SCREENS the folder for a picture of the page that failed.
 """
 
+import faulthandler
 import os
 import pathlib
 import sys
@@ -22,6 +23,8 @@ import touching
 import views
 import weighing
 
+# Longest scenario, s: what is evaluated in a page has no limit of its own. Where it stood is then printed.
+LIMIT_S = 900
 SCENARIOS = {one.__name__: one for one in (
     campaign.first_evening, campaign.operate, campaign.abort, campaign.motion, campaign.keyboard, weighing.place,
     weighing.wrong_weight, touching.touch, access.viewer, connection.lost, accessibility.axe, accessibility.axe_empty,
@@ -31,6 +34,7 @@ SCENARIOS = {one.__name__: one for one in (
 def main():
     """Runs a scenario."""
     name = sys.argv[1]
+    faulthandler.dump_traceback_later(LIMIT_S, exit=True)
     expect.set_options(timeout=person.LIMIT_MS)
     with sync_playwright() as playwright:
         browser = views.launched(playwright)
