@@ -23,7 +23,7 @@ import touching
 import views
 import weighing
 
-# Longest scenario, s: what is evaluated in a page has no limit of its own. Where it stood is then printed.
+# Longest scenario, s: nothing else limits what is evaluated in a page. Where it stood is then printed.
 LIMIT_S = 900
 SCENARIOS = {one.__name__: one for one in (
     campaign.first_evening, campaign.operate, campaign.abort, campaign.motion, campaign.keyboard, weighing.place,
