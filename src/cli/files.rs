@@ -232,7 +232,7 @@ pub fn write_in(folder: &Path, name: &str, text: &str) -> CliResult<PathBuf> {
 /// Returns the path of a script of faults; a carried one is written to a folder.
 ///
 /// # Errors
-/// As [`on_disk`].
+/// `CliError::Problems` if it cannot be read, or is of another kind; `CliError::File` if it cannot be written.
 pub fn fault_script(folder: &Path, named: &Path) -> CliResult<PathBuf> {
     on_disk(FileKind::Faults, named, FAULTS, folder, "faults.toml")
 }
