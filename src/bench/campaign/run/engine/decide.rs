@@ -40,6 +40,8 @@ impl Engine {
         }
         let safe = self.leave_contact(job, halt.as_trip(), height).await;
         let mut passing = false;
+        // A run that is resumed after another halt waits for no failed attempt before it.
+        attempts.has_failed = false;
         if job.plan.kind == Kind::RealRandom {
             // The weights may be lifted meanwhile: a confirmation holds for one undisturbed measurement.
             attempts.confirmed = None;

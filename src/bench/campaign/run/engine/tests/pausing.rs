@@ -14,6 +14,7 @@ use crate::campaign::run::halt::Halt;
 use crate::campaign::run::run_state::{PausedWhy, RunEvent, RunState};
 use crate::campaign::shown::command::{Refusal, Request};
 use crate::campaign::shown::show;
+use crate::campaign::shown::status::Wanted;
 use crate::campaign::trial::press::Pressing;
 use crate::ids::RunUid;
 use crate::record::TouchOffRecord;
@@ -82,6 +83,27 @@ async fn the_attempt_after_a_failed_one_is_late_and_a_pause_or_a_stop_meanwhile_
         assert_eq!(asked, Ok(()));
         assert!(matches!(again, Err(Halt::Checkpoint)), "{again:?}");
     }
+}
+
+#[tokio::test]
+async fn a_run_that_is_resumed_after_a_pause_waits_for_no_failed_attempt_before_it() {
+    let (axes, job) = (StandIns::default(), job());
+    let mut engine = engine(&axes);
+    engine.control.show(|status| status.run = Some(show::started(&job)));
+    engine.control.begin(job.run).unwrap();
+    // The pause was requested before the safe end of the attempt was complete.
+    let mut attempts = Attempts { has_failed: true, ..Attempts::default() };
+    engine.control.run_event(RunEvent::PauseNow).unwrap();
+    // Without a handle there is no request to wait for.
+    let next = engine.decide(&job, Halt::Asked, &mut attempts, &mut 0).await;
+    assert!(matches!(next, Next::Leave));
+    engine.control.run_event(RunEvent::Resume).unwrap();
+    let mut pace = Pace::predicted(1.0);
+    let resumed = engine.advance(&job, &mut pace, &mut attempts);
+    // It is far shorter than the wait.
+    let resumed = tokio::time::timeout(Duration::from_secs(10), resumed).await;
+    let first = resumed.expect("it does not wait");
+    assert!(matches!(first, Err(Halt::Needs(Wanted::Tips { tips: 1 }))), "{first:?}");
 }
 
 /// What a run that waits after a trip shows, and the state that it reaches, once it is suspended for this reason.
