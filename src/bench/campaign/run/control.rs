@@ -167,8 +167,6 @@ impl Control {
     /// `Refusal::State` if another run is active.
     pub fn begin(&mut self, run: RunUid) -> Result<(), Refusal> {
         self.current = Some(run);
-        // That of an earlier run may have come after its end.
-        self.suspended_for = None;
         self.run_event(RunEvent::Start).map(|_| ())
     }
 
@@ -190,6 +188,10 @@ impl Control {
 
     fn publish_run_state(&mut self, state: RunState) {
         let change = state.change();
+        if state == RunState::Running {
+            // It was the reason of an earlier halt, or of an earlier run.
+            self.suspended_for = None;
+        }
         self.show_run(|run| {
             run.state = change.state;
             run.requested_state = change.requested;
@@ -432,8 +434,10 @@ impl Control {
             Request::PauseAtCheckpoint => Some(RunEvent::PauseAtCheckpoint),
             Request::PauseNow => Some(RunEvent::PauseNow),
             Request::Suspend(_, why) => {
-                self.suspended_for = Some(why.clone());
-                Some(RunEvent::Suspend(PausedWhy::Suspender))
+                let event = RunEvent::Suspend(PausedWhy::Suspender);
+                let is_accepted = run_state::step(self.run, event).is_ok();
+                self.suspended_for = is_accepted.then(|| why.clone());
+                Some(event)
             }
             Request::Resume => Some(RunEvent::Resume),
             Request::Stop => Some(RunEvent::Stop),

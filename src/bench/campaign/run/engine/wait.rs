@@ -11,7 +11,7 @@ use crate::campaign::bench::stage::Height;
 use crate::campaign::diary::Note;
 use crate::campaign::run::control::name;
 use crate::campaign::run::job::Job;
-use crate::campaign::run::run_state::{RunAction, RunEvent, RunState};
+use crate::campaign::run::run_state::{PausedWhy, RunAction, RunEvent, RunState};
 use crate::campaign::shown::command::{Envelope, Refusal, Request};
 use crate::campaign::shown::run_action::NO_PLACEMENT;
 use crate::campaign::shown::status::{Done, Phase, Wanted};
@@ -124,6 +124,10 @@ impl Engine {
             }
         }
         let action = self.control.run_event(RunEvent::Raised).ok()?;
+        // It was requested while the rig homed for an automatic resume.
+        if self.control.run() == RunState::Paused(PausedWhy::Suspender) {
+            self.state_suspension();
+        }
         match action {
             RunAction::End(status) => Some(Waited::Ended(status)),
             RunAction::Continue | RunAction::Raise | RunAction::Wait => None,

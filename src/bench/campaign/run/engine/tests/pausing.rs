@@ -14,7 +14,7 @@ use crate::campaign::run::halt::Halt;
 use crate::campaign::run::run_state::{PausedWhy, RunEvent, RunState};
 use crate::campaign::shown::command::{Refusal, Request};
 use crate::campaign::shown::show;
-use crate::campaign::shown::status::Wanted;
+use crate::campaign::shown::status::{Motion, Status, Wanted};
 use crate::campaign::trial::press::Pressing;
 use crate::ids::RunUid;
 use crate::record::TouchOffRecord;
@@ -131,6 +131,30 @@ async fn a_suspension_of_a_run_that_waits_states_its_reason() {
 }
 
 #[tokio::test]
+async fn a_suspension_while_the_rig_homes_for_an_automatic_resume_states_its_reason() {
+    let (axes, mut job) = (StandIns::default(), job());
+    job.plan.policy.auto_resume_after_s = 0.0;
+    let (mut engine, handle) = with_handle(&axes);
+    trip(&mut engine, &job);
+    let request = Request::Suspend(job.run, "a full disk".into());
+    let suspends = async move {
+        let mut status = handle.watch_status();
+        drop(status.wait_for(|now| now.rig.motion == Some(Motion::Homing)).await.unwrap());
+        handle.ask(request).await.unwrap();
+        let waiting_for = |now: &Status| now.run.as_ref()?.waiting_for.clone();
+        let is_stated = |now: &Status| waiting_for(now).as_deref() == Some("a full disk");
+        // Without a handle there is no request to wait for.
+        let stated = status.wait_for(is_stated);
+        tokio::time::timeout(Duration::from_secs(30), stated).await.is_ok()
+    };
+    let (mut attempts, mut resumes) = (Attempts::default(), 1);
+    let waits = engine.wait(&job, &mut attempts, Some(&mut resumes));
+    let (is_stated, _) = tokio::join!(suspends, waits);
+    assert!(is_stated, "it is stated");
+    assert_eq!(engine.control.run(), RunState::Paused(PausedWhy::Suspender));
+}
+
+#[tokio::test]
 async fn the_reason_of_a_suspension_is_not_that_of_the_next_run() {
     let (axes, job) = (StandIns::default(), job());
     let mut engine = engine(&axes);
@@ -139,6 +163,24 @@ async fn the_reason_of_a_suspension_is_not_that_of_the_next_run() {
     engine.control.run_request(&late);
     engine.control.show(|status| status.run = Some(show::started(&job)));
     engine.control.begin(job.run).unwrap();
+    assert_eq!(engine.control.take_suspended_for(), None);
+}
+
+#[tokio::test]
+async fn the_reason_of_a_suspension_that_was_refused_or_is_over_is_not_that_of_a_later_halt() {
+    let (axes, job) = (StandIns::default(), job());
+    let mut engine = engine(&axes);
+    engine.control.show(|status| status.run = Some(show::started(&job)));
+    engine.control.begin(job.run).unwrap();
+    let suspend = Request::Suspend(job.run, "the model does not fit the skin".into());
+    // A panicked run refuses it.
+    engine.control.run_event(RunEvent::RaiseFailed).unwrap();
+    engine.control.run_request(&suspend);
+    engine.control.run_event(RunEvent::Reset).unwrap();
+    assert_eq!(engine.control.take_suspended_for(), None);
+    // A run that waits takes it, and a person resumes the run.
+    engine.control.run_request(&suspend);
+    engine.control.run_event(RunEvent::Resume).unwrap();
     assert_eq!(engine.control.take_suspended_for(), None);
 }
 
