@@ -118,7 +118,12 @@ impl Stage {
         }
         self.held_since = None;
         let z_place = targets.iter().position(|t| t.axis == AxisName::Z);
-        let longest_s = self.require_ready(control, targets).await?;
+        let ready = self.require_ready(targets);
+        let longest_s = match self.last_sample.filter(|_| !is_lateral) {
+            // It must not become too old before the start.
+            Some(last) => self.in_time(control, Some(last.at), ready).await?,
+            None => control.attending(ready).await??,
+        };
         let mut clear_at = is_lateral.then(|| self.clock.now());
         let (began, began_s) = (self.clock.now(), self.clock.process_s());
         let (age, mut is_late) = (self.sample_age(targets), false);
@@ -189,8 +194,8 @@ impl Stage {
 
     /// Checks that each axis is homed, within its travel and without an alarm, which the release of a stop could clear.
     /// Returns the longest duration of the motions, process s.
-    async fn require_ready(&self, control: &mut Control, targets: &[Target]) -> Result<f64, Halt> {
-        let (statuses, _) = control.attending(self.poll(targets, Polled::Axes)).await??;
+    async fn require_ready(&self, targets: &[Target]) -> Result<f64, Halt> {
+        let (statuses, _) = self.poll(targets, Polled::Axes).await?;
         let mut longest_s = 0.0f64;
         for (target, status) in targets.iter().zip(&statuses) {
             let driven = self.driven(target.axis);

@@ -195,6 +195,19 @@ async fn the_first_sample_of_a_press_is_late_from_when_its_start_was_sent() {
 }
 
 #[tokio::test]
+async fn a_press_does_not_start_on_a_sample_that_is_too_old_once_z_was_read() {
+    let axes = StandIns::default();
+    let mut engine = engine(&axes);
+    let stage = engine.connection.as_mut().unwrap().stage.as_mut().unwrap();
+    stage.config.limits.sample_age_ms = Some(100);
+    // Before the start z is read after the cells.
+    *axes.z.status_takes.lock() = Duration::from_millis(300);
+    let halt = stage.press_to(&mut engine.control, 10.0).await.unwrap_err();
+    assert_eq!(halt.as_trip().expect("a trip").kind, TripKind::Stale, "{halt:?}");
+    assert_eq!(axes.z.starts.load(Ordering::SeqCst), 0);
+}
+
+#[tokio::test]
 async fn a_touch_off_searches_no_tip_below_the_window_of_the_surface() {
     let job = job();
     let place = job.plan.steps.iter().find_map(|step| match step {
