@@ -12,6 +12,7 @@
 //! ```
 //! After an e-stop nothing moves until a person releases it, and the tips stay where they are.
 
+use std::cell::Cell;
 use std::time::Duration;
 
 use futures::future::join_all;
@@ -104,12 +105,21 @@ pub async fn make_safe(
     end
 }
 
-/// Raises z, with a few attempts. Returns the deepest position of z on the way as well, machine mm.
-async fn raise(estop: &StopSwitch, stage: &Stage, height: Height) -> (Tips, Option<f64>) {
+/// Raises z, with a few attempts; after a request (`is_asked`) none is repeated. Returns the deepest position of z on the
+/// way as well, machine mm.
+async fn raise(
+    estop: &StopSwitch,
+    stage: &Stage,
+    height: Height,
+    is_asked: &Cell<bool>,
+) -> (Tips, Option<f64>) {
     let mut last = String::new();
     for attempt in 0..RAISE_TRIES {
         if attempt > 0 {
             tokio::time::sleep(RAISE_AGAIN).await;
+            if is_asked.get() {
+                break;
+            }
         }
         if estop.pressed().is_some() {
             return (Tips::HeldByEstop, None);
@@ -127,21 +137,24 @@ async fn raise(estop: &StopSwitch, stage: &Stage, height: Height) -> (Tips, Opti
     (if held { Tips::HeldByEstop } else { Tips::NotRaised(last) }, None)
 }
 
-/// Raises z as planned, after a configuration. Requests are accepted meanwhile, and end it once z is up: a stop would
-/// leave the tips down.
+/// Raises z as planned, after a configuration. Requests are accepted meanwhile, and end it once z is up, or an attempt has
+/// failed: a stop would leave the tips down.
 ///
 /// # Errors
-/// Trips unless the tips are raised; as `attend` once they are.
+/// As `attend` after a request; otherwise trips unless the tips are raised.
 pub async fn raise_as_planned(control: &mut Control, stage: &mut Stage) -> Result<(), Halt> {
     stage.begin_watch();
-    let estop = control.estop.clone();
-    let raised = raise(&estop, stage, Height::Clear);
-    let ((tips, _), asked) = control.attending_to_the_end(raised).await;
+    let (estop, is_asked) = (control.estop.clone(), Cell::default());
+    let raised = raise(&estop, stage, Height::Clear, &is_asked);
+    let ((tips, _), asked) = control.attending_to_the_end(raised, &is_asked).await;
     match tips {
         Tips::Raised => asked,
         Tips::HeldByEstop => Err(Halt::trip(TripKind::Estop, "the emergency stop is latched")),
         Tips::NotHomed => Err(Halt::trip(TripKind::Position, "z has lost its zero: home")),
-        Tips::NotRaised(why) => Err(Halt::trip(TripKind::Position, format!("not raised: {why}"))),
+        // The safe end of a request raises them again, and trips if it fails.
+        Tips::NotRaised(why) => {
+            asked.and(Err(Halt::trip(TripKind::Position, format!("not raised: {why}"))))
+        }
     }
 }
 
@@ -152,7 +165,7 @@ async fn stop_and_raise(
     height: Height,
 ) -> (AxisStop, (Tips, Option<f64>)) {
     let stopped = stop(stage.bench.z.as_ref(), began).await;
-    (stopped, raise(estop, stage, height).await)
+    (stopped, raise(estop, stage, height, &Cell::default()).await)
 }
 
 async fn stop(axis: &dyn Axis, began: Instant) -> AxisStop {

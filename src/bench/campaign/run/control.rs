@@ -4,8 +4,8 @@
 //! Never: motion, wires, a wait for the store except while the tips are up (`flush`, `at_rest`,
 //! `taken_lock`).
 
+use std::cell::Cell;
 use std::sync::Arc;
-
 use std::time::Duration;
 
 use jiff::Timestamp;
@@ -273,7 +273,8 @@ impl Control {
         }
     }
 
-    /// As `attending`, for a raise, which no request ends. Returns its result, and that of `attend` meanwhile.
+    /// As `attending`, for a raise, which no request ends; `is_asked` is set once there was one. Returns its result, and
+    /// that of `attend` meanwhile.
     ///
     /// # Errors
     /// The newest trip of `attend`, which states a suspension only once, otherwise its first request, next to the
@@ -281,6 +282,7 @@ impl Control {
     pub async fn attending_to_the_end<T>(
         &mut self,
         raise: impl Future<Output = T>,
+        is_asked: &Cell<bool>,
     ) -> (T, Result<(), Halt>) {
         let mut raise = std::pin::pin!(raise);
         let mut asked = Ok(());
@@ -293,6 +295,7 @@ impl Control {
                     if asked.is_ok() || now.as_ref().is_err_and(|halt| halt.as_trip().is_some()) {
                         asked = now;
                     }
+                    is_asked.set(asked.is_err());
                 }
             }
         }

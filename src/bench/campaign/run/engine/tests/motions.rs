@@ -1,5 +1,6 @@
 //! A homing and a jog outside a run: what the status shows, and what an abort ends.
 
+use std::cell::Cell;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 
@@ -7,6 +8,8 @@ use super::{answered, signs, suspensions, with_handle};
 use crate::campaign::bench::interlock::TripKind;
 use crate::campaign::bench::rig_state::RigState;
 use crate::campaign::bench::stand_in::{StandIn, StandIns};
+use crate::campaign::run::halt::Halt;
+use crate::campaign::safe_end::raise_as_planned;
 use crate::campaign::shown::command::{Refusal, Request};
 use crate::campaign::shown::status::Motion;
 use crate::rig::traits::AxisStatus;
@@ -71,6 +74,30 @@ async fn an_abort_during_a_raise_is_accepted_at_once_and_ends_the_motion_once_z_
 }
 
 #[tokio::test]
+async fn a_raise_that_fails_after_an_abort_is_not_repeated_before_the_safe_end() {
+    let axes = StandIns::default();
+    let (mut engine, handle) = with_handle(&axes);
+    let starts = || axes.z.starts.load(Ordering::SeqCst);
+    // It moves until it reports an alarm.
+    let down = AxisStatus { position: 60.0, ..axes.z.present() };
+    *axes.z.status.lock() = down;
+    *axes.z.after_start.lock() = Some(AxisStatus { position: 55.0, moving: true, ..down });
+    let abort = async {
+        while starts() == 0 {
+            tokio::time::sleep(Duration::from_millis(1)).await;
+        }
+        let aborted = handle.ask(Request::AbortMotion).await;
+        axes.z.status.lock().alarm = Some(1);
+        aborted
+    };
+    let stage = engine.connection.as_mut().unwrap().stage.as_mut().unwrap();
+    let raise = raise_as_planned(&mut engine.control, stage);
+    let (aborted, raised) = tokio::join!(abort, raise);
+    assert!(aborted.is_ok() && matches!(raised, Err(Halt::Asked)), "{raised:?}");
+    assert_eq!(starts(), 1);
+}
+
+#[tokio::test]
 async fn a_suspension_of_the_computer_during_a_raise_trips_although_a_request_came_before() {
     let (mut engine, handle) = with_handle(&StandIns::default());
     let suspended_s = suspensions(&mut engine);
@@ -80,7 +107,7 @@ async fn a_suspension_of_the_computer_during_a_raise_trips_although_a_request_ca
         // It is answered once the suspension was noticed.
         (aborted, handle.ask(Request::CameLate).await)
     };
-    let (both, asked) = engine.control.attending_to_the_end(raise).await;
+    let (both, asked) = engine.control.attending_to_the_end(raise, &Cell::default()).await;
     assert_eq!(both, (Ok(()), Ok(())));
     let halt = asked.unwrap_err();
     assert_eq!(halt.as_trip().map(|trip| trip.kind), Some(TripKind::Service), "{halt:?}");
