@@ -207,7 +207,7 @@ impl Wire {
     }
 
     /// The reply that would be taken for the answer to this request. A stop does not wait for one: the echo of an earlier
-    /// stop acknowledges a stop, too.
+    /// stop acknowledges a stop, too, and that of another write does not (`attempt`).
     fn late_reply(&mut self, job: &Job) -> Option<LateReply> {
         let now = self.clock.now();
         self.owed.retain(|owed| owed.until > now);
@@ -276,6 +276,12 @@ impl Wire {
             Ok(response) => {
                 let reply = pdu::reply_of(response);
                 if let Err(cause) = job.request.accepts(&reply) {
+                    return Err(LineError::Garbled { cause });
+                }
+                let is_of_other = |o: &Owed| o.could_answer(job) && o.request != job.request;
+                if let Some(at) = self.owed.iter().position(is_of_other) {
+                    self.owed.remove(at);
+                    let cause = format!("{reply} may answer an earlier request");
                     return Err(LineError::Garbled { cause });
                 }
                 self.owed.pop();

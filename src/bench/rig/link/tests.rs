@@ -402,8 +402,8 @@ fn serial(timeout: Duration) -> (Arc<Line>, mpsc::Receiver<DuplexStream>) {
 }
 
 /// Waits for a request on a serial line; false once it is closed.
-async fn is_asked(wire: &mut DuplexStream, request: [u8; 8]) -> bool {
-    let mut found = [0; 8];
+async fn is_asked<const N: usize>(wire: &mut DuplexStream, request: [u8; N]) -> bool {
+    let mut found = [0; N];
     let is_open = wire.read_exact(&mut found).await.is_ok();
     assert!(!is_open || found == request, "{found:?}");
     is_open
@@ -432,6 +432,31 @@ async fn a_serial_reply_that_a_stop_did_not_wait_for_is_no_answer_to_the_next_re
         third.write_all(&SEVEN).await.unwrap();
     }
     assert_eq!(reading.await.unwrap(), Ok(Reply::Words(vec![7])));
+}
+
+/// Writes of two words to one address, such as the release of a stop and a stop, and the echo of both.
+const RELEASE: [u8; 13] = [1, 16, 0, 0x7C, 0, 2, 4, 0, 0, 0, 0, 0xF4, 0xDE];
+const STOP_WORDS: [u8; 13] = [1, 16, 0, 0x7C, 0, 2, 4, 0, 0, 0, 32, 0xF5, 0x06];
+const ECHO: [u8; 8] = [1, 16, 0, 0x7C, 0, 2, 0x80, 0x10];
+
+#[tokio::test]
+async fn a_serial_echo_that_may_be_of_an_earlier_write_acknowledges_no_stop() {
+    let (line, mut wires) = serial(LONG);
+    let write = |word| Request::WriteRegisters { address: 0x7C, words: vec![0, word] };
+    let permit = MotionGate::new(StopLatch::new()).permit().unwrap();
+    let asking = Arc::clone(&line);
+    let releasing = tokio::spawn(async move { asking.ask_motion(1, write(0), permit).await });
+    let mut first = wires.recv().await.unwrap();
+    assert!(is_asked(&mut first, RELEASE).await);
+    let stopping = tokio::spawn(async move { line.ask_urgent(1, write(32)).await });
+    let mut second = wires.recv().await.unwrap();
+    assert!(is_asked(&mut second, STOP_WORDS).await);
+    second.write_all(&ECHO).await.unwrap();
+    // It may be that of the release.
+    let mut third = wires.recv().await.expect("the stop is sent again");
+    assert!(is_asked(&mut third, STOP_WORDS).await);
+    third.write_all(&ECHO).await.unwrap();
+    assert!(stopping.await.unwrap().is_ok() && releasing.await.unwrap().is_err());
 }
 
 #[tokio::test]
