@@ -218,6 +218,10 @@ impl Engine {
             let resumed = self.control.run_event(RunEvent::Resume).is_ok();
             return if resumed { Recovery::Done } else { Recovery::Failed };
         }
+        // The devices and the reset took a while: nothing homes under a lock that was taken meanwhile.
+        if let Some(lock) = self.control.taken_lock(self.halted_at).await {
+            return Recovery::Held(lock);
+        }
         self.control.take_operated();
         let is_homed = self.home().await;
         *homed = self.homed_drives().await;
@@ -416,6 +420,25 @@ mod tests {
         *axes.journal.locked_at.lock() = None;
         automatic.as_mut().unwrap().at = Instant::now();
         assert!(engine.resume_automatically(&job, &mut automatic, 0).await.is_some());
+    }
+
+    #[tokio::test]
+    async fn nothing_homes_by_itself_under_a_lock_that_was_taken_while_the_devices_were_read() {
+        let (axes, job) = (StandIns::default(), job());
+        let mut engine = engine(&axes);
+        trip(&mut engine, &job);
+        let mut resumes = 1;
+        let mut automatic = Some(Automatic::new(&job, &mut resumes, None));
+        automatic.as_mut().unwrap().at = Instant::now();
+        *axes.cells.takes.lock() = Duration::from_millis(50);
+        let locks = async { *axes.journal.locked_at.lock() = Some(jiff::Timestamp::now()) };
+        // In this order: the lock is taken once the cells are awaited.
+        let resumed = engine.resume_automatically(&job, &mut automatic, 0);
+        let (resumed, ()) = futures::join!(resumed, locks);
+        assert!(resumed.is_none() && automatic.is_some(), "it waits for the release");
+        assert_eq!(axes.z.starts.load(Ordering::SeqCst), 0);
+        let words = engine.control.inbox.status.borrow().run.as_ref().unwrap().waiting_for.clone();
+        assert!(words.is_some_and(|words| words.contains("operator lock (ada")));
     }
 
     #[tokio::test]
