@@ -192,7 +192,7 @@ impl TwinPool {
     /// pending in any run.
     async fn next_page(&self, progress: &mut Progress) -> Result<bool, PoolError> {
         let page = self.page(progress).await;
-        // After a failure a run may have trials that were not looked at.
+        // After a failure a run may have trials that were not read.
         let settled = if page.is_ok() { progress.settled() } else { HashSet::new() };
         *self.inner.settled.lock() = settled;
         page
@@ -485,7 +485,7 @@ mod tests {
         assert!(pool.awaits(run).await.unwrap());
         let failed = pool.next_page(&mut progress).await;
         assert!(matches!(failed, Err(PoolError::File { .. })), "{failed:?}");
-        assert!(pool.awaits(run).await.unwrap(), "other trials were not looked at");
+        assert!(pool.awaits(run).await.unwrap(), "other trials were not read");
         assert!(!pool.next_page(&mut progress).await.unwrap());
         assert!(!pool.awaits(run).await.unwrap());
         assert_eq!(pool.count(run).await.unwrap().pending(), 1);
