@@ -40,6 +40,7 @@ mod simulate;
 mod store_durability;
 mod streams;
 mod support;
+mod taken_over;
 mod twin_chunks;
 mod waiting;
 mod workers;

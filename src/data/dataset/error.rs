@@ -135,15 +135,59 @@ impl DatasetError {
         move |source| Self::File { operation, path: path.clone(), source }
     }
 
+    /// Whether the same request may succeed later: the disk was full, the store did not answer, or trials were removed
+    /// meanwhile.
+    pub fn may_pass(&self) -> bool {
+        match self {
+            Self::DiskFull { .. } | Self::Changed => true,
+            Self::Store(error) => !error.is_refusal(),
+            error => lacks_space(error),
+        }
+    }
+
     /// The error for one invalid value of a request.
     pub(super) fn value(key: &str, value: impl std::fmt::Display, limit: &str) -> Self {
         Self::Problems(vec![Problem::new("request", key, value, limit)])
     }
 }
 
+/// Whether a write failed because its disk is full.
+fn lacks_space(error: &(dyn std::error::Error + 'static)) -> bool {
+    let of_system = error.downcast_ref::<io::Error>();
+    of_system.is_some_and(|error| error.kind() == io::ErrorKind::StorageFull)
+        || error.source().is_some_and(lacks_space)
+}
+
 #[cfg(test)]
 mod tests {
+    use std::io::{self, ErrorKind};
+
+    use arrow_schema::ArrowError;
+    use parquet::errors::ParquetError;
+
     use super::{DatasetError, Product};
+    use crate::dataset::format::FormatError;
+    use crate::store::StoreError;
+
+    #[test]
+    fn a_disk_that_became_full_is_found_behind_every_writer() {
+        let file = |kind: ErrorKind| {
+            let (operation, path) = ("writing", "ds-1.parquet".into());
+            DatasetError::File { operation, path, source: kind.into() }
+        };
+        let full = || io::Error::from(ErrorKind::StorageFull);
+        let encoded = FormatError::Parquet(ParquetError::from(full()));
+        let columns = FormatError::Arrow(ArrowError::IoError("a".into(), full()));
+        let written = [encoded, columns, FormatError::Io(full())].map(DatasetError::Format);
+        assert!(written.iter().all(DatasetError::may_pass), "{written:?}");
+        assert!(DatasetError::Parquet(ParquetError::from(full())).may_pass());
+        assert!(file(ErrorKind::StorageFull).may_pass());
+        assert!(!file(ErrorKind::PermissionDenied).may_pass());
+        assert!(!DatasetError::Worker.may_pass());
+        let store = |error| DatasetError::Store(error).may_pass();
+        assert!(store(StoreError::Late { operation: "reading", limit_s: 30 }));
+        assert!(!store(StoreError::Damaged { findings: vec![] }));
+    }
 
     #[test]
     fn a_full_disk_is_reported_for_what_was_to_be_written() {

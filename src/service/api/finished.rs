@@ -1,6 +1,6 @@
 //! Makes the dataset of each run that has ended, Parquet file and card. The file is written while the run is
-//! active, 1000 trials at a time, so that little is missing when it ends. One for which the disk has no room is made
-//! once it has.
+//! active, 1000 trials at a time, so that little is missing when it ends. One for which the disk has no room, or that
+//! the store could not answer for, is made later.
 //! Uses: `dataset`, `twins`, `store`. Never: more than a few seconds of work at a time while a run is active.
 
 use std::collections::{HashMap, HashSet};
@@ -14,6 +14,7 @@ use super::App;
 use crate::campaign::spans::run_span;
 use crate::dataset::definition::Definition;
 use crate::dataset::error::DatasetError;
+use crate::dataset::space::KEPT_FREE_BYTES;
 use crate::ids::RunUid;
 use crate::journal::error_chain;
 use crate::store::RunKind;
@@ -26,27 +27,45 @@ const END_POLL: Duration = Duration::from_millis(500);
 const END_POLLS: u32 = 20;
 /// Number of ended runs that are checked, the last one to end first.
 const CHECKED_RUNS: u32 = 20;
+/// Number of tries to make a dataset that fail although nothing is wrong with the request.
+const DATASET_TRIES: u32 = 10;
 
 /// An end of a run; a stopped run may be resumed, and ends again.
 type End = (RunUid, Option<Timestamp>);
 
+/// What became of the dataset of an end.
+#[derive(Debug, Default)]
+struct Outcome {
+    /// Number of tries that failed although nothing is wrong with the request.
+    failed: u32,
+    /// Free space of the disk from which on it is tried again, bytes; absent if it is not.
+    awaited: Option<u64>,
+}
+
 /// The ends of runs whose datasets were made, or could not be.
 #[derive(Debug, Default)]
-struct Handled(HashMap<End, Option<u64>>);
+struct Handled(HashMap<End, Outcome>);
 
 impl Handled {
-    /// Notes how the dataset of an end was made, with the error if it was not: it may wait for room on the disk.
-    fn note(&mut self, end: End, error: Option<&DatasetError>) {
-        let awaited = match error {
+    /// Notes how the dataset of an end was made, with the error if it was not: it may wait for room on the disk, or for
+    /// the store. Returns whether it is tried again.
+    fn note(&mut self, end: End, error: Option<&DatasetError>) -> bool {
+        let outcome = self.0.entry(end).or_default();
+        outcome.awaited = match error {
             Some(DatasetError::DiskFull { needed, kept, .. }) => Some(needed.saturating_add(*kept)),
+            Some(error) if error.may_pass() => {
+                outcome.failed += 1;
+                (outcome.failed < DATASET_TRIES).then_some(KEPT_FREE_BYTES)
+            }
             _ => None,
         };
-        self.0.insert(end, awaited);
+        outcome.awaited.is_some()
     }
 
     /// Whether nothing is to be made for an end. `free`: free space of the disk, bytes.
     fn has(&self, end: &End, free: u64) -> bool {
-        self.0.get(end).is_some_and(|awaited| awaited.is_none_or(|awaited| free < awaited))
+        let is_done = |outcome: &Outcome| outcome.awaited.is_none_or(|awaited| free < awaited);
+        self.0.get(end).is_some_and(is_done)
     }
 }
 
@@ -95,9 +114,8 @@ pub async fn keep(app: App) {
                 continue;
             }
             // An import may be of a skin without a model: its twins are not awaited.
-            let gets_twins = app.twins.status().workers > 0 && run.kind != RunKind::Imported;
-            let twins_wait = match app.twins.count(run.uid).await {
-                Ok(count) => gets_twins && count.pending() > 0,
+            let twins_wait = match app.twins.awaits(run.uid).await {
+                Ok(awaits) => awaits && run.kind != RunKind::Imported,
                 Err(_) => true,
             };
             if twins_wait {
@@ -105,11 +123,11 @@ pub async fn keep(app: App) {
             }
             let making = async {
                 let made = app.datasets.make(&Definition::of_run(run.scan_id)).await.err();
-                handled.note(this, made.as_ref());
+                let is_tried_again = handled.note(this, made.as_ref());
                 let Some(failed) = made else { return };
                 let error = error_chain(&failed);
-                if let DatasetError::DiskFull { .. } = failed {
-                    let words = "the dataset of an ended run is made once the disk has room";
+                if is_tried_again {
+                    let words = "the dataset of an ended run is made later";
                     tracing::warn!(error, "{words}");
                 } else {
                     tracing::info!(error, "the dataset of an ended run was not made");
@@ -131,11 +149,25 @@ mod tests {
         assert!(!handled.has(&end, 0), "a new end");
         let product = Product::Dataset;
         let full = DatasetError::DiskFull { product, needed: 30, free: 80, kept: 100 };
-        handled.note(end, Some(&full));
+        assert!(handled.note(end, Some(&full)));
         assert!(handled.has(&end, 129) && !handled.has(&end, 130));
         for error in [None, Some(&DatasetError::Worker)] {
-            handled.note(end, error);
+            assert!(!handled.note(end, error));
             assert!(handled.has(&end, u64::MAX), "{error:?}");
         }
+    }
+
+    #[test]
+    fn a_dataset_whose_disk_became_full_while_it_was_written_is_tried_again_up_to_a_limit() {
+        let (end, mut handled) = ((RunUid::new(), None), Handled::default());
+        let (operation, path) = ("writing", "ds-1.parquet".into());
+        let source = std::io::ErrorKind::StorageFull.into();
+        let full = DatasetError::File { operation, path, source };
+        for _ in 1..DATASET_TRIES {
+            assert!(handled.note(end, Some(&full)));
+            assert!(handled.has(&end, KEPT_FREE_BYTES - 1) && !handled.has(&end, KEPT_FREE_BYTES));
+        }
+        assert!(!handled.note(end, Some(&full)));
+        assert!(handled.has(&end, u64::MAX));
     }
 }

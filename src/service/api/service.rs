@@ -130,7 +130,11 @@ impl Service {
             cache,
             options.twin_workers,
         );
-        store.sweep_imports().await?;
+        // Nothing shows what a broken-off import has left: a rig need not wait for it.
+        if let Err(error) = store.sweep_imports().await {
+            let error = error_chain(&error);
+            tracing::warn!(error, "what an import has left is removed at the next start");
+        }
         let datasets = Catalog::open(store.clone(), &options.data, Clock::new(1.0))?;
         let queries = Queries::new(store.clone(), datasets.clone(), &options.data);
         let models = Registry::open(store.clone(), &options.data, Clock::new(1.0))?;

@@ -11,65 +11,77 @@ use crate::ids::RunUid;
 use crate::journal::error_chain;
 use crate::store::StoreResult;
 
-/// Number of attempts to read what the earlier process left, and to reach the rig, and the pause before the second;
+/// Number of attempts to take over what the earlier process left, and to reach the rig, and the pause before the second;
 /// it doubles.
 pub(super) const RESTART_TRIES: u32 = 8;
 pub(super) const RESTART_PAUSE: Duration = Duration::from_secs(1);
 
+/// The decision on the runs that were left, and the last time at which the run to be driven did something.
+type Left = (TakenOver, Option<Timestamp>);
+
 impl Conductor {
-    /// Decides on the runs of the earlier process, and marks its other open runs as interrupted. A read that fails is
-    /// repeated: without it no run is driven again. Returns the decision, and the last time at which the run to be driven
-    /// did something.
+    /// Decides on the runs of the earlier process, and marks its other open runs as interrupted. A read or a mark that
+    /// fails is repeated: without it no run is driven again, and none can be started. Returns the decision, and the last
+    /// time at which the run to be driven did something.
     ///
     /// # Errors
-    /// `ConductorError::Store` if each attempt to read fails, or what is read is damaged, or the runs cannot be marked.
-    pub(super) async fn left_by_earlier(
-        &self,
-        resume: AutoResume,
-    ) -> ConductorResult<(TakenOver, Option<Timestamp>)> {
-        let (mut attempt, mut pause) = (1, RESTART_PAUSE);
+    /// `ConductorError::Store` if each attempt fails, or what is read is damaged.
+    pub(super) async fn left_by_earlier(&self, resume: AutoResume) -> ConductorResult<Left> {
+        let (mut attempt, mut pause, mut left) = (1, RESTART_PAUSE, None);
         loop {
             // No run begins between the look at the active one and the mark of the others.
             let one_at_a_time = self.inner.beginning.lock().await;
             let active = self.active();
-            let error = match self.read_left(resume, active).await {
+            let read = match left.take() {
+                Some(read) => Ok(read),
+                None => self.read_left(resume, active).await,
+            };
+            let error = match read.map(|read| self.still_left(read, active)) {
                 Ok((taken, since)) => {
                     let stays = taken.driven.as_ref().map(|run| run.uid).or(active);
-                    self.inner.store.interrupt_open_runs(stays).await?;
-                    return Ok((taken, since));
-                }
-                Err(error) if attempt == RESTART_TRIES || error.is_refusal() => {
-                    return Err(error.into());
+                    match self.inner.store.interrupt_open_runs(stays).await {
+                        Ok(()) => return Ok((taken, since)),
+                        Err(error) => {
+                            // They may be marked nevertheless: what they were before decides.
+                            left = Some((taken, since));
+                            error
+                        }
+                    }
                 }
                 Err(error) => error,
             };
             drop(one_at_a_time);
-            let error = error_chain(&error);
-            tracing::warn!(attempt, error, "the runs of the earlier process are not known yet");
+            if attempt == RESTART_TRIES || error.is_refusal() {
+                return Err(error.into());
+            }
+            let (error, words) = (error_chain(&error), "the earlier runs are not taken over yet");
+            tracing::warn!(attempt, error, "{words}");
             tokio::time::sleep(pause).await;
             (attempt, pause) = (attempt + 1, 2 * pause);
         }
     }
 
+    /// What was left, without what a person has started in this process: that waits as it is, and no earlier run is
+    /// driven again.
+    fn still_left(&self, (mut taken, since): Left, active: Option<RunUid>) -> Left {
+        taken.waiting.retain(|run| !self.waiting().contains(&run.uid));
+        taken.dropped.retain(|(run, _)| !self.waiting().contains(&run.uid));
+        let driven = taken.driven.filter(|_| active.is_none());
+        let since = since.filter(|_| driven.is_some());
+        (TakenOver { driven, ..taken }, since)
+    }
+
     /// `active`: the run that this process drives.
-    async fn read_left(
-        &self,
-        resume: AutoResume,
-        active: Option<RunUid>,
-    ) -> StoreResult<(TakenOver, Option<Timestamp>)> {
+    async fn read_left(&self, resume: AutoResume, active: Option<RunUid>) -> StoreResult<Left> {
         let store = &self.inner.store;
-        let (mut open, mut waiting) = (store.open_runs().await?, store.waiting_runs().await?);
-        // What a person has started in this process waits as it is.
-        waiting.retain(|run| !self.waiting().contains(&run.uid));
+        let (mut open, waiting) = (store.open_runs().await?, store.waiting_runs().await?);
         open.retain(|run| Some(run.uid) != active);
-        let TakenOver { driven, waiting, dropped } = TakenOver::of(open, waiting, resume);
-        // A person may have started a run in this process already: no earlier one is driven again.
-        let driven = driven.filter(|_| active.is_none());
-        let since = match &driven {
+        let taken = TakenOver::of(open, waiting, resume);
+        let since = match &taken.driven {
             Some(run) => store.last_trial_at(run.uid).await?.or(run.started_at),
             None => None,
         };
-        Ok((TakenOver { driven, waiting, dropped }, since))
+        Ok((taken, since))
     }
 }
 

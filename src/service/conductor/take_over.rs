@@ -50,7 +50,11 @@ impl Conductor {
         // In memory all of them, whatever the store does.
         self.dropped().extend(dropped.iter().map(|(run, why)| (run.uid, (*why).to_owned())));
         for (run, why) in &dropped {
-            self.drop_waiting(run, why).await?;
+            // The next process would drop them, too: one that is driven need not wait for the store.
+            if let Err(error) = self.drop_waiting(run, why).await {
+                let error = error_chain(&error);
+                tracing::warn!(error, "a waiting run is dropped in memory only");
+            }
         }
         let was_driven = driven.is_some();
         let (first, signs) = match driven {

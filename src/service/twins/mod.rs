@@ -9,6 +9,7 @@
 pub mod drift;
 pub mod elsewhere;
 mod make;
+mod progress;
 pub mod skins;
 
 use std::collections::{HashMap, HashSet};
@@ -21,12 +22,12 @@ use serde::Serialize;
 use sim_core::calibration::Calibration;
 use sim_core::forward::ForwardModel;
 use sim_core::sensor::Sensor;
-use tokio::task::JoinError;
 use tracing::Instrument;
 use utoipa::ToSchema;
 
 use self::drift::{DriftWatch, Level, Pairing, RollingFit};
 use self::make::{Recipe, twins_of};
+use self::progress::Progress;
 use self::skins::{SkinCalibration, SkinError, Source, WarmSkins};
 use crate::campaign::shown::command::{Handle, Request};
 use crate::campaign::spans::run_span;
@@ -48,8 +49,6 @@ const PENDING_POLL: Duration = Duration::from_millis(250);
 const BACK_OFF: Duration = Duration::from_secs(5);
 /// Interval at which skipped trials, and runs without pending trials, are checked again.
 const RECONCILE: Duration = Duration::from_secs(60);
-/// Number of panics of a worker over one page after which the page is set aside.
-const PAGE_PANICS: u32 = 3;
 
 /// Status of the pool.
 #[derive(Debug, Clone, Default, Serialize, ToSchema)]
@@ -81,6 +80,8 @@ struct Inner {
     workers: usize,
     status: Mutex<PoolStatus>,
     models: Mutex<HashMap<RunUid, TwinModelId>>,
+    /// Runs of which this process makes no further twin.
+    settled: Mutex<HashSet<RunUid>>,
 }
 
 /// Why the twins of a run cannot be made or stored.
@@ -107,58 +108,6 @@ pub enum PoolError {
     Worker,
 }
 
-/// State of the loop between two pages.
-#[derive(Default)]
-struct Progress {
-    /// Recipes of runs with pending trials.
-    recipes: HashMap<RunUid, Recipe>,
-    /// The last trial that was read, per run.
-    passed: HashMap<RunUid, TrialId>,
-    /// Runs without pending trials.
-    done: HashSet<RunUid>,
-    /// Runs whose files are invalid, or that have a damaged trial.
-    unusable: HashSet<RunUid>,
-    /// Panics of a worker over a page, by its first trial; 0: over the model of the run.
-    panics: HashMap<(RunUid, TrialId), u32>,
-    /// Trials of pages that were set aside. The next process tries them again.
-    set_aside: HashSet<TrialId>,
-    watch: Option<(RunUid, DriftWatch)>,
-}
-
-impl Progress {
-    /// Counts a panic over a page that begins with this trial. Returns whether it is not tried again.
-    fn panicked(&mut self, run: RunUid, first: TrialId) -> bool {
-        let panics = self.panics.entry((run, first)).or_default();
-        *panics += 1;
-        *panics >= PAGE_PANICS
-    }
-
-    /// Returns the twins of a page. The page has none if it is set aside, because a worker panics over it each time:
-    /// other pages and older runs still get their twins.
-    ///
-    /// # Errors
-    /// `PoolError::Worker` if a worker panicked, and the page is tried again.
-    fn made(
-        &mut self,
-        run: RunUid,
-        page: &[TrialId],
-        made: Result<Vec<Twin>, JoinError>,
-    ) -> Result<Vec<Twin>, PoolError> {
-        let panic = match made {
-            Ok(twins) => return Ok(twins),
-            Err(panic) => panic,
-        };
-        let first = page.first().copied().unwrap_or(TrialId(0));
-        if !self.panicked(run, first) {
-            return Err(PoolError::Worker);
-        }
-        let (trials, first) = (page.len(), first.0);
-        tracing::error!(%panic, first, trials, "trials get no twins before the next start");
-        self.set_aside.extend(page);
-        Ok(Vec::new())
-    }
-}
-
 impl TwinPool {
     /// Creates a pool of `workers` threads; 0 makes no twins. `calibration` applies to runs on its
     /// sensor; unit responses are cached in `cache_dir`.
@@ -170,11 +119,11 @@ impl TwinPool {
         workers: usize,
     ) -> Self {
         let status = Mutex::new(PoolStatus { workers, ..PoolStatus::default() });
-        let models = Mutex::default();
+        let (models, settled) = (Mutex::default(), Mutex::default());
         let with_id = |c: Calibration| Some((CalibrationId::unchecked(c.id().ok()?), Arc::new(c)));
         let calibration = calibration.and_then(with_id);
         let skins = WarmSkins::new(cache_dir);
-        let inner = Inner { store, campaign, calibration, skins, workers, status, models };
+        let inner = Inner { store, campaign, calibration, skins, workers, status, models, settled };
         Self { inner: Arc::new(inner) }
     }
 
@@ -203,6 +152,16 @@ impl TwinPool {
         self.inner.store.twin_count(run, model).await
     }
 
+    /// Whether this process still makes twins of a run: of one that has ended, trials remain without a twin if a page
+    /// of it was set aside, or if its files or a trial of it are damaged.
+    ///
+    /// # Errors
+    /// `StoreError` if the store fails.
+    pub async fn awaits(&self, run: RunUid) -> StoreResult<bool> {
+        let is_pending = self.count(run).await?.pending() > 0;
+        Ok(is_pending && self.inner.workers > 0 && !self.inner.settled.lock().contains(&run))
+    }
+
     /// Makes twins until the future is dropped. Twins that are not stored are pending at the next
     /// start.
     pub async fn work(self) {
@@ -217,7 +176,7 @@ impl TwinPool {
                 progress.passed.clear();
                 progress.done.clear();
             }
-            match self.page(&mut progress).await {
+            match self.next_page(&mut progress).await {
                 Ok(true) => {}
                 Ok(false) => tokio::time::sleep(PENDING_POLL).await,
                 Err(error) => {
@@ -229,7 +188,16 @@ impl TwinPool {
         }
     }
 
-    /// Makes the twins of one page; returns `false` if nothing is pending in any run.
+    /// Makes the twins of one page, and notes of which runs no further twin is made; returns `false` if nothing is
+    /// pending in any run.
+    async fn next_page(&self, progress: &mut Progress) -> Result<bool, PoolError> {
+        let page = self.page(progress).await;
+        // After a failure a run may have trials that were not read.
+        let settled = if page.is_ok() { progress.settled() } else { HashSet::new() };
+        *self.inner.settled.lock() = settled;
+        page
+    }
+
     async fn page(&self, progress: &mut Progress) -> Result<bool, PoolError> {
         let store = &self.inner.store;
         let active = self.inner.campaign.status().run.map(|run| run.uid);
@@ -443,30 +411,83 @@ fn pairing(trial: &TrialRow, twin: &Twin) -> Option<Pairing> {
 
 #[cfg(test)]
 mod tests {
-    use tokio::task::spawn_blocking;
+    use jiff::Timestamp;
 
     use super::*;
+    use crate::campaign::bench::estop::StopSwitch;
+    use crate::campaign::shown::command::channel;
+    use crate::campaign::shown::show;
+    use crate::clock::Clock;
+    use crate::ids::TrialKey;
+    use crate::journal::Journal;
+    use crate::record::{FrameQuality, FrameRecord, Label, TrialRecord, TrialScalars};
+    use crate::store::NewRun;
+
+    /// A run whose files cannot be used, with one trial.
+    async fn unusable_run(store: &Store) -> RunUid {
+        let new = NewRun {
+            uid: RunUid::new(),
+            experiment: "small".into(),
+            kind: RunKind::RealRandom,
+            definition: "no experiment".into(),
+            seed: Some(1),
+            rig: Some("no rig".into()),
+            sensor: "no sensor".into(),
+            calibration_id: None,
+            label: Label::Virtual,
+            version: "0.1.0".into(),
+            git_commit: None,
+            deadband_n: 5.0,
+            tip_diameter_mm: None,
+            plan: None,
+            trials_planned: 1,
+            auto_resume: false,
+            not_before: None,
+            submitted_by: "ada".into(),
+        };
+        let run = store.create_run(new).await.unwrap().uid;
+        let (volts_per_count, counts) = (1e-3, vec![1; 784]);
+        let trial = TrialRecord {
+            key: TrialKey { configuration: 0, depth_index: 0 },
+            attempt: 1,
+            tips: 0,
+            depth_mm: None,
+            target: None,
+            reached: None,
+            arms: vec![],
+            placed: vec![],
+            placed_by: Some("Ada".into()),
+            frames: vec![FrameRecord { sequence: 1, device_time_us: 1, volts_per_count, counts }],
+            quality: FrameQuality::default(),
+            flags: vec![],
+            settle_ms: 1.0,
+            scalars: TrialScalars::default(),
+            started_at: Timestamp::now(),
+            measured_at: Timestamp::now(),
+        };
+        store.trial(run, &trial).await.unwrap();
+        run
+    }
 
     #[tokio::test]
-    async fn a_page_over_which_a_worker_panics_is_set_aside_and_others_get_their_twins() {
-        let (mut progress, [run, older]) = (Progress::default(), [RunUid::new(), RunUid::new()]);
-        let panics = async || spawn_blocking(|| -> Vec<Twin> { panic!("a test") }).await;
-        let (page, next) = ([1, 2].map(TrialId), [3, 4].map(TrialId));
-        for _ in 1..PAGE_PANICS {
-            let made = progress.made(run, &page, panics().await);
-            assert!(matches!(made, Err(PoolError::Worker)), "it is tried again: {made:?}");
-            assert!(progress.set_aside.is_empty());
-        }
-        let made = progress.made(run, &page, panics().await);
-        assert!(made.is_ok_and(|twins| twins.is_empty()), "the loop continues after it");
-        assert_eq!(progress.set_aside, HashSet::from(page));
-        for (run, page) in [(run, next), (older, page)] {
-            assert!(progress.made(run, &page, panics().await).is_err(), "its first panic");
-        }
-        let outcome = TwinOutcome::Failure("a contact off the skin".into());
-        let twins = vec![Twin { trial: next[0], outcome }];
-        let made = progress.made(run, &next, Ok(twins.clone()));
-        assert_eq!(made.unwrap(), twins);
-        assert!(progress.made(run, &[], Ok(Vec::new())).is_ok(), "all of a page are set aside");
+    async fn twins_that_this_process_does_not_make_are_not_awaited() {
+        let folder = tempfile::tempdir().unwrap();
+        let store = Store::open(&folder.path().join("palpate.db"), Clock::new(1.0)).await.unwrap();
+        let run = unusable_run(&store).await;
+        let rig = include_str!("../../../experiments/rigs/virtual.toml");
+        let rig = RigSetup::from_toml("virtual.toml", rig).unwrap();
+        let (campaign, _inbox) = channel(StopSwitch::default(), show::closed(&rig));
+        let pool = |workers| {
+            TwinPool::new(store.clone(), campaign.clone(), None, folder.path().into(), workers)
+        };
+        assert!(!pool(0).awaits(run).await.unwrap(), "this service makes none");
+        let (pool, mut progress) = (pool(1), Progress::default());
+        assert!(pool.awaits(run).await.unwrap());
+        let failed = pool.next_page(&mut progress).await;
+        assert!(matches!(failed, Err(PoolError::File { .. })), "{failed:?}");
+        assert!(pool.awaits(run).await.unwrap(), "other trials were not read");
+        assert!(!pool.next_page(&mut progress).await.unwrap());
+        assert!(!pool.awaits(run).await.unwrap());
+        assert_eq!(pool.count(run).await.unwrap().pending(), 1);
     }
 }

@@ -22,7 +22,7 @@ impl Store {
         let insert = async move |c: &mut SqliteConnection| {
             run_row::insert(c, new, StoredState::Queued, now, OPERATION).await
         };
-        Ok(self.keep_facts(self.write(OPERATION, insert).await?))
+        self.write(OPERATION, insert).await
     }
 
     /// Replaces the inputs of the queued run with the uid of `new`. It keeps its number, its place, its
@@ -35,7 +35,7 @@ impl Store {
         let now = self.now_text();
         let replace =
             async move |c: &mut SqliteConnection| run_row::replace(c, new, now, OPERATION).await;
-        Ok(self.keep_facts(self.write(OPERATION, replace).await?))
+        self.write(OPERATION, replace).await
     }
 
     /// Returns the queued runs, the next one first.

@@ -128,7 +128,7 @@ impl Store {
     }
 
     /// Caches the facts of a run that was stored, and returns its row.
-    pub(crate) fn keep_facts(&self, row: RunRow) -> RunRow {
+    fn keep_facts(&self, row: RunRow) -> RunRow {
         let (scan_id, kind, deadband_n) = (row.scan_id, row.kind, row.deadband_n);
         self.keep(row.uid, RunFacts { scan_id, kind, deadband_n });
         row

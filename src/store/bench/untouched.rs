@@ -41,8 +41,9 @@ impl Store {
         let scan_id = self.facts_to_write(run, OPERATION).await?.scan_id;
         let volts = volts_blob(&skin.voltages_v);
         let query = sqlx::query(
-            "INSERT INTO untouched_frames (run, at, frame_count, voltages_v, crc32)
-             VALUES (?1, ?2, ?3, ?4, ?5)",
+            "INSERT INTO untouched_frames (run, at, frame_count, voltages_v, crc32, after_trial)
+             VALUES (?1, ?2, ?3, ?4, ?5,
+                 (SELECT coalesce(max(id), 0) FROM trials WHERE run = ?1))",
         )
         .bind(scan_id)
         .bind(time_text(skin.at))
@@ -53,7 +54,8 @@ impl Store {
     }
 
     /// Returns, for each of these trials, the frame of the untouched skin that was measured last in its run
-    /// before it; a trial without one is absent.
+    /// before it; a trial without one is absent. The order of storing decides, not the times: the clock may have
+    /// been set back.
     ///
     /// # Errors
     /// `Damaged` if a frame differs from its checksum; `Read` or `Unreadable` if the read fails.
@@ -81,7 +83,7 @@ impl Store {
         self.inner.bulk.read(OPERATION, read).await
     }
 
-    /// Returns the first `most` frames of the untouched skin of a run, in the order of time.
+    /// Returns the first `most` frames of the untouched skin of a run, oldest first.
     ///
     /// # Errors
     /// `NoSuchRun` if the run is not stored; `Damaged` if a frame differs from its checksum; `Read` or
@@ -91,7 +93,7 @@ impl Store {
         let scan_id = self.facts(run, OPERATION).await?.scan_id;
         let read = move |connection: &Connection| {
             let mut ids = Statement::new("SELECT id FROM untouched_frames WHERE run = ");
-            ids.bind(scan_id).push(" ORDER BY at LIMIT ").bind(most);
+            ids.bind(scan_id).push(" ORDER BY after_trial, id LIMIT ").bind(most);
             let ids: Vec<i64> = ids.rows(connection, OPERATION, |c| c.get("id"))?;
             ids.into_iter().map(|id| frame(connection, id, OPERATION)).collect()
         };
@@ -108,8 +110,8 @@ fn last_before(
     let wanted: Vec<i64> = trials.iter().map(|id| id.0).collect();
     let mut last = Statement::new(
         "SELECT t.id AS trial, t.started_at AS started_at,
-             (SELECT u.id FROM untouched_frames u WHERE u.run = t.run AND u.at <= t.started_at
-              ORDER BY u.at DESC LIMIT 1) AS skin
+             (SELECT u.id FROM untouched_frames u WHERE u.run = t.run AND u.after_trial < t.id
+              ORDER BY u.after_trial DESC, u.id DESC LIMIT 1) AS skin
          FROM json_each(",
     );
     last.bind(format!("{wanted:?}"));

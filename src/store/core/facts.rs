@@ -1,4 +1,4 @@
-//! The facts of a run that never change.
+//! The facts of a run that never change once it has left the queue.
 //! Uses: `core::columns`. Never: the state of a run, which changes.
 
 use serde::{Deserialize, Serialize};
@@ -31,7 +31,7 @@ impl RunKind {
     }
 }
 
-/// Facts of a run that never change.
+/// Facts of a run that never change once it has left the queue.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct RunFacts {
     /// Number of the run, which the column `run` of other tables holds.
@@ -43,22 +43,26 @@ pub(crate) struct RunFacts {
 }
 
 impl RunFacts {
+    /// Reads the facts of a run, and whether it is queued: an edit may still change them then.
     pub(super) async fn read(
         connection: &mut SqliteConnection,
         run: RunUid,
         operation: &'static str,
-    ) -> StoreResult<Self> {
-        let row = sqlx::query("SELECT scan_id, kind, deadband_n FROM runs WHERE uid = ?1")
-            .bind(run.to_string())
-            .fetch_optional(connection)
-            .await
-            .during(operation)?
-            .ok_or(StoreError::NoSuchRun(run))?;
+    ) -> StoreResult<(Self, bool)> {
+        let row = sqlx::query(
+            "SELECT scan_id, kind, deadband_n, state = 'queued' AS is_queued FROM runs WHERE uid = ?1",
+        )
+        .bind(run.to_string())
+        .fetch_optional(connection)
+        .await
+        .during(operation)?
+        .ok_or(StoreError::NoSuchRun(run))?;
         let columns = Columns::of(&row, operation);
-        Ok(Self {
+        let facts = Self {
             scan_id: columns.get("scan_id")?,
             kind: columns.word("kind")?,
             deadband_n: columns.get("deadband_n")?,
-        })
+        };
+        Ok((facts, columns.get("is_queued")?))
     }
 }

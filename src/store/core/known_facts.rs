@@ -1,5 +1,6 @@
 //! The facts of runs that the store has read or written, cached in memory: every insert and most queries need them.
-//! Uses: `core::{facts, store, writer}`. Never: the state of a run, which changes.
+//! Uses: `core::{facts, store, writer}`. Never: the state of a run, which changes; the facts of a queued run, which an
+//! edit may change although it fails or is late.
 
 use sqlx::sqlite::SqliteConnection;
 
@@ -23,7 +24,7 @@ impl Store {
             return Ok(facts);
         }
         let mut view = self.read(operation).await?;
-        Ok(self.keep(run, RunFacts::read(&mut view, run, operation).await?))
+        Ok(self.keep_lasting(run, RunFacts::read(&mut view, run, operation).await?))
     }
 
     /// Returns the facts of a run, for a write of the campaign: it never waits for a connection that
@@ -49,11 +50,16 @@ impl Store {
             return Ok(facts);
         }
         let read = async move |c: &mut SqliteConnection| RunFacts::read(c, run, operation).await;
-        Ok(self.keep(run, writer.run(operation, read).await?))
+        Ok(self.keep_lasting(run, writer.run(operation, read).await?))
     }
 
     fn known(&self, run: RunUid) -> Option<RunFacts> {
         self.inner.runs.lock().get(&run).copied()
+    }
+
+    /// Keeps what was read of a run, unless it is queued.
+    fn keep_lasting(&self, run: RunUid, (facts, is_queued): (RunFacts, bool)) -> RunFacts {
+        if is_queued { facts } else { self.keep(run, facts) }
     }
 
     pub(crate) fn keep(&self, run: RunUid, facts: RunFacts) -> RunFacts {

@@ -225,6 +225,20 @@ async fn an_edited_run_keeps_number_place_and_submitter_and_is_no_longer_started
 }
 
 #[tokio::test]
+async fn trials_are_labelled_by_an_edit_that_was_stored_although_it_failed() {
+    let (_folder, store) = fresh().await;
+    let run = store.enqueue(new_run(RunKind::RealHex)).await.unwrap().uid;
+    assert!(store.skips(run).await.unwrap().is_empty(), "its facts were read");
+    store.inner.writer.fail_after_next_commit().await.unwrap();
+    let edit = NewRun { uid: run, deadband_n: 4.0, ..new_run(RunKind::RealHex) };
+    store.replace_queued(edit).await.unwrap_err();
+    store.run_state(run, StateChange::to(StoredState::Running), now()).await.unwrap();
+    let id = store.trial(run, &hex_trial(0, 0, &[4.5])).await.unwrap();
+    let trial = store.trial_by_id(id).await.unwrap().unwrap();
+    assert_eq!((trial.contact_count, trial.contacts.len()), (1, 1));
+}
+
+#[tokio::test]
 async fn runs_come_in_pages_newest_first() {
     let (_folder, store) = fresh().await;
     for _ in 0..5 {

@@ -3,7 +3,7 @@
 
 use std::sync::Arc;
 
-use super::{execute, hex_trial, new_run, now, random_trial, time, with_run};
+use super::{Folder, execute, hex_trial, new_run, now, random_trial, time, with_run};
 use crate::ids::{RunUid, TrialId, TrialKey};
 use crate::journal::Journal;
 use crate::record::{
@@ -339,24 +339,70 @@ async fn a_trial_has_the_untouched_skin_that_was_measured_last_before_it() {
         frames: 4,
         run: Some(run),
     };
-    let early = store.trial(run, &trial(0)).await.unwrap();
-    assert!(store.untouched_before(&[early]).await.unwrap().is_empty());
-    for (before_s, volts) in [(60, 1.0), (2, 2.0), (-5, 3.0)] {
+    let first = store.trial(run, &trial(0)).await.unwrap();
+    assert!(store.untouched_before(&[first]).await.unwrap().is_empty());
+    for (before_s, volts) in [(60, 1.0), (2, 2.0)] {
         store.untouched(run, &skin(before_s, volts)).await.unwrap();
     }
-    let late = store.trial(run, &trial(1)).await.unwrap();
-    let before = store.untouched_before(&[early, late, TrialId(99)]).await.unwrap();
+    let early = store.trial(run, &trial(1)).await.unwrap();
+    let late = store.trial(run, &trial(2)).await.unwrap();
+    // Between these two the clock is set back by an hour.
+    for (before_s, volts) in [(-5, 3.0), (3600, 4.0)] {
+        store.untouched(run, &skin(before_s, volts)).await.unwrap();
+    }
+    let last = store.trial(run, &trial(3)).await.unwrap();
+    let before = store.untouched_before(&[first, early, late, last, TrialId(99)]).await.unwrap();
     let found = before.get(&early).unwrap();
     assert_eq!((*found.skin).clone(), skin(2, 2.0));
-    assert_eq!((found.trial_started_at, before.len()), (started_at, 2));
+    assert_eq!((found.trial_started_at, before.len()), (started_at, 3));
     assert!(Arc::ptr_eq(&found.skin, &before[&late].skin));
-    let all = store.untouched_frames(run, 2).await.unwrap();
-    assert_eq!(all, [skin(60, 1.0), skin(2, 2.0)]);
+    assert_eq!((*before[&last].skin).clone(), skin(3600, 4.0));
+    let all = store.untouched_frames(run, 3).await.unwrap();
+    assert_eq!(all, [skin(60, 1.0), skin(2, 2.0), skin(-5, 3.0)]);
     let nothing = Untouched { voltages_v: vec![f32::NAN], ..skin(1, 0.0) };
     assert!(store.untouched(run, &nothing).await.unwrap_err().refused);
     execute(&store, "UPDATE untouched_frames SET voltages_v = zeroblob(12)").await;
     let error = store.untouched_before(&[early]).await.unwrap_err().to_string();
     assert!(error.contains("the untouched skin 2 was changed"), "{error}");
+}
+
+/// A file of the version that did not store the order of trials and frames: their times determine it.
+#[tokio::test]
+async fn untouched_frames_of_an_earlier_version_are_placed_by_their_times() {
+    let folder = Folder::new();
+    let filled =
+        "INSERT INTO runs (scan_id, uid, experiment, kind, definition, definition_sha256, seed,
+             rig, rig_sha256, sensor, sensor_sha256, label, version, deadband_n, trials_planned,
+             auto_resume, state, created_at, submitted_by)
+         VALUES (1, '0190a0a0-0000-7000-8000-000000000001', 'e', 'real-random', 'd', 'h', 7, 'r',
+             'h', 's', 'h', 'virtual', '0', 5.0, 3, 0, 'interrupted', '2026-11-20T18:00:00.000Z',
+             'a');
+         INSERT INTO trials (id, run, configuration, depth_index, attempt, tips, flags, settle_ms,
+             contact_count, frame_count, started_at, measured_at)
+         VALUES (5, 1, 0, 0, 1, 1, '[]', 1.5, 1, 1, '2026-11-20T18:00:01.000Z',
+             '2026-11-20T18:00:02.000Z'),
+             (6, 1, 1, 0, 1, 1, '[]', 1.5, 1, 1, '2026-11-20T18:00:05.000Z',
+             '2026-11-20T18:00:06.000Z'),
+             (7, 1, 2, 0, 1, 1, '[]', 1.5, 1, 1, '2026-11-20T18:00:08.000Z',
+             '2026-11-20T18:00:09.000Z');
+         INSERT INTO untouched_frames (id, run, at, frame_count, voltages_v, crc32)
+         VALUES (1, 1, '2026-11-20T18:00:03.000Z', 30, x'0000803f', 2896259690),
+             (2, 1, '2026-11-20T18:00:05.000Z', 30, x'00000040', 1469619852);";
+    let store = folder.open_from_before(25, filled).await;
+    store.integrity_check().await.unwrap();
+    let run = store.run_by_scan_id(1).await.unwrap().unwrap().uid;
+    let skin = Untouched {
+        voltages_v: vec![3.0],
+        at: time("2026-11-20T17:00:00Z"),
+        frames: 30,
+        run: Some(run),
+    };
+    store.untouched(run, &skin).await.unwrap();
+    let next = store.trial(run, &random_trial(3, 1)).await.unwrap();
+    let trials = [TrialId(5), TrialId(6), TrialId(7), next];
+    let before = store.untouched_before(&trials).await.unwrap();
+    let volts = trials.map(|trial| before.get(&trial).map(|found| found.skin.voltages_v[0]));
+    assert_eq!(volts, [None, Some(2.0), Some(2.0), Some(3.0)]);
 }
 
 #[tokio::test]

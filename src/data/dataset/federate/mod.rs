@@ -25,7 +25,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 use super::build::{Progress, data_file};
-use super::error::DatasetError;
+use super::error::{DatasetError, DatasetResult};
 use super::format::Rows;
 use super::read::{DatasetRows, sensor_text};
 use super::schema::SENSOR_KEY;
@@ -126,7 +126,7 @@ impl Fetched {
     ///
     /// # Errors
     /// `DatasetError::File` or `Problems` if what is known of it cannot be read.
-    pub fn read(folder: &Path, rig: &str) -> Result<Option<Self>, DatasetError> {
+    pub fn read(folder: &Path, rig: &str) -> DatasetResult<Option<Self>> {
         let path = place(folder, rig).join(RECORD);
         let text = match std::fs::read_to_string(&path) {
             Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
@@ -149,7 +149,7 @@ impl Fetched {
     ///
     /// # Errors
     /// `DatasetError::File` if a file cannot be written or removed.
-    pub fn keep(&self, folder: &Path) -> Result<(), DatasetError> {
+    pub fn keep(&self, folder: &Path) -> DatasetResult<()> {
         let place = place(folder, &self.rig);
         let text = serde_json::to_string_pretty(self).map_err(DatasetError::Json)?;
         write(&place, RECORD, &(text + "\n"))?;
@@ -163,7 +163,7 @@ impl Fetched {
     }
 
     /// The problem of its kept file, if its bytes have changed.
-    fn damage(&self, folder: &Path) -> Result<Option<Problem>, DatasetError> {
+    fn damage(&self, folder: &Path) -> DatasetResult<Option<Problem>> {
         let path = self.file(folder);
         let mut hashing = Hashing::default();
         let mut file = File::open(&path).map_err(DatasetError::file("opening", &path))?;
@@ -194,7 +194,7 @@ fn place(folder: &Path, rig: &str) -> PathBuf {
     folder.join(FETCHED).join(rig)
 }
 
-fn write(folder: &Path, name: &str, text: &str) -> Result<(), DatasetError> {
+fn write(folder: &Path, name: &str, text: &str) -> DatasetResult<()> {
     let failed = DatasetError::file("writing", &folder.join(name));
     new_file::write(folder, name, text).map(drop).map_err(failed)
 }
@@ -203,7 +203,7 @@ fn write(folder: &Path, name: &str, text: &str) -> Result<(), DatasetError> {
 ///
 /// # Errors
 /// `DatasetError::File` if a folder cannot be made or a file cannot be removed.
-pub fn prepare(folder: &Path, rig: &str) -> Result<(), DatasetError> {
+pub fn prepare(folder: &Path, rig: &str) -> DatasetResult<()> {
     for place in [place(folder, rig), folder.join(TRIALS)] {
         std::fs::create_dir_all(&place).map_err(DatasetError::file("making", &place))?;
         let failed = DatasetError::file("removing unfinished files in", &place);
@@ -224,21 +224,21 @@ pub fn join(
     rigs: &[Fetched],
     tables: Tables,
     progress: &Progress,
-) -> Result<Federation, DatasetError> {
+) -> DatasetResult<Federation> {
     let mut damaged = Vec::new();
     for fetched in rigs {
         damaged.extend(fetched.damage(folder)?);
     }
     refuse(damaged)?;
     let open = |fetched| Opened::open(folder, fetched);
-    let opened = rigs.iter().map(open).collect::<Result<Vec<_>, _>>()?;
+    let opened = rigs.iter().map(open).collect::<DatasetResult<Vec<_>>>()?;
     refuse(repeated(&opened))?;
     if tables == Tables::Joint {
         refuse(differences(&opened))?;
     }
     progress.total.store(rigs.iter().map(|fetched| fetched.rows).sum(), Relaxed);
     let parts = opened.iter().map(|opened| opened.write(folder, progress));
-    let parts = parts.collect::<Result<Vec<_>, _>>()?;
+    let parts = parts.collect::<DatasetResult<Vec<_>>>()?;
     let rows = parts.iter().flat_map(|part| &part.files).map(|file| file.rows).sum();
     let apart = tables == Tables::Apart;
     let federation = Federation { dataset: dataset.to_owned(), apart, rows, rigs: parts };
@@ -250,12 +250,12 @@ pub fn join(
     Ok(federation)
 }
 
-fn refuse(problems: Vec<Problem>) -> Result<(), DatasetError> {
+fn refuse(problems: Vec<Problem>) -> DatasetResult<()> {
     if problems.is_empty() { Ok(()) } else { Err(DatasetError::Problems(problems)) }
 }
 
 impl<'a> Opened<'a> {
-    fn open(folder: &Path, fetched: &'a Fetched) -> Result<Self, DatasetError> {
+    fn open(folder: &Path, fetched: &'a Fetched) -> DatasetResult<Self> {
         let path = fetched.file(folder);
         let rows = DatasetRows::open(&path, &Wanted::default())?;
         let offsets = table::offsets(&rows)?;
@@ -263,7 +263,7 @@ impl<'a> Opened<'a> {
     }
 
     /// Writes its sensor file and its tables.
-    fn write(&self, folder: &Path, progress: &Progress) -> Result<RigPart, DatasetError> {
+    fn write(&self, folder: &Path, progress: &Progress) -> DatasetResult<RigPart> {
         let Fetched { rig, dataset, lineage, .. } = self.fetched;
         let mut metadata = HashMap::from([
             ("palpate.rig".to_owned(), rig.clone()),
@@ -323,7 +323,7 @@ fn differences(opened: &[Opened<'_>]) -> Vec<Problem> {
 }
 
 /// Removes the Parquet files of a folder except these.
-fn remove_other_tables(folder: &Path, kept: &BTreeSet<String>) -> Result<(), DatasetError> {
+fn remove_other_tables(folder: &Path, kept: &BTreeSet<String>) -> DatasetResult<()> {
     let failed = DatasetError::file("removing earlier tables in", folder);
     for entry in std::fs::read_dir(folder).map_err(&failed)? {
         let entry = entry.map_err(&failed)?;

@@ -23,7 +23,7 @@ use serde::Serialize;
 
 use super::TRIALS;
 use crate::dataset::build::Progress;
-use crate::dataset::error::DatasetError;
+use crate::dataset::error::{DatasetError, DatasetResult};
 use crate::dataset::format::{FormatError, ParquetWriter, Rows};
 use crate::dataset::read::DatasetRows;
 use crate::new_file::NewFile;
@@ -62,7 +62,7 @@ type Unfinished = (ParquetWriter<NewFile>, u64);
 /// # Errors
 /// `DatasetError::Format` or `Arrow` if the rows cannot be read or lack a column, `Problems` if there are too many
 /// configurations.
-pub(super) fn offsets(rows: &DatasetRows) -> Result<BTreeMap<String, u32>, DatasetError> {
+pub(super) fn offsets(rows: &DatasetRows) -> DatasetResult<BTreeMap<String, u32>> {
     let schema = rows.schema();
     let columns = [schema.index_of(RUN)?, schema.index_of(CONFIGURATION)?];
     let mut largest: BTreeMap<String, u32> = BTreeMap::new();
@@ -99,7 +99,7 @@ pub(super) fn write(
     metadata: &HashMap<String, String>,
     folder: &Path,
     progress: &Progress,
-) -> Result<Vec<LabelFile>, DatasetError> {
+) -> DatasetResult<Vec<LabelFile>> {
     let own = [RIG, TRIAL].map(|name| Field::new(name, DataType::Utf8, false));
     let schema = rows.schema();
     let others = schema.fields().iter().map(|field| field.as_ref().clone());
@@ -136,13 +136,13 @@ pub(super) fn write(
     Ok(files)
 }
 
-fn begin(folder: &Path, schema: &SchemaRef) -> Result<Unfinished, DatasetError> {
+fn begin(folder: &Path, schema: &SchemaRef) -> DatasetResult<Unfinished> {
     let file = NewFile::create(folder).map_err(DatasetError::file("creating a file in", folder))?;
     Ok((ParquetWriter::new(schema, file)?, 0))
 }
 
 /// The label of a row, which becomes part of a file name.
-fn known(label: Option<&str>) -> Result<&'static str, DatasetError> {
+fn known(label: Option<&str>) -> DatasetResult<&'static str> {
     let found = label.and_then(|text| serde_json::from_value::<Label>(text.into()).ok());
     found.map(Label::as_str).ok_or_else(|| {
         let limit = "must be measured, virtual or simulated";
