@@ -6,15 +6,14 @@ use std::time::Duration;
 use super::{answered, signs, suspensions, with_handle};
 use crate::campaign::bench::interlock::TripKind;
 use crate::campaign::bench::rig_state::RigState;
-use crate::campaign::bench::stand_in::{StandIn, StandIns};
+use crate::campaign::bench::stand_in::StandIn;
 use crate::campaign::shown::command::{Refusal, Request};
 use crate::campaign::shown::status::Motion;
 use crate::rig::traits::AxisStatus;
 
 #[tokio::test]
 async fn a_homing_and_a_jog_are_shown_until_they_end() {
-    let axes = StandIns::default();
-    let (mut engine, handle) = with_handle(&axes);
+    let (axes, mut engine, handle) = with_handle();
     let mut status = handle.watch_status();
     let home = async {
         handle.ask(Request::Home).await.unwrap();
@@ -42,8 +41,7 @@ async fn a_homing_and_a_jog_are_shown_until_they_end() {
 
 #[tokio::test]
 async fn an_abort_during_a_raise_is_accepted_at_once_and_ends_the_motion_once_z_is_up() {
-    let axes = StandIns::default();
-    let (mut engine, handle) = with_handle(&axes);
+    let (axes, mut engine, handle) = with_handle();
     assert!(engine.home().await);
     let starts = |axis: &StandIn| axis.starts.load(Ordering::SeqCst);
     let (x_starts, z_starts) = (starts(&axes.x), starts(&axes.z));
@@ -72,7 +70,7 @@ async fn an_abort_during_a_raise_is_accepted_at_once_and_ends_the_motion_once_z_
 
 #[tokio::test]
 async fn a_suspension_of_the_computer_during_a_raise_trips_although_a_request_came_before() {
-    let (mut engine, handle) = with_handle(&StandIns::default());
+    let (_, mut engine, handle) = with_handle();
     let suspended_s = suspensions(&mut engine);
     let raise = async {
         let aborted = handle.ask(Request::AbortMotion).await;
@@ -88,7 +86,7 @@ async fn a_suspension_of_the_computer_during_a_raise_trips_although_a_request_ca
 
 #[tokio::test]
 async fn an_abort_while_nothing_moves_holds_the_queue_only_if_a_motion_has_just_ended() {
-    let (mut engine, handle) = with_handle(&StandIns::default());
+    let (_, mut engine, handle) = with_handle();
     let refused = Err(Refusal::State("abort is not possible: nothing moves".into()));
     let abort = || handle.ask(Request::AbortMotion);
     assert_eq!((answered(&mut engine, abort()).await, signs(&engine)), (refused.clone(), 0));
