@@ -150,6 +150,13 @@ impl Lab {
         answer
     }
 
+    /// Waits for a safe end, which must leave no trip.
+    pub async fn ends_safely(&self) {
+        let status = self.until("a safe end", |s| !s["rig"]["safe_end"].is_null()).await;
+        let rig = &status["rig"];
+        assert_eq!((&rig["state"], &rig["trip"]), (&json!("disarmed"), &Value::Null));
+    }
+
     /// Waits for the status to satisfy this.
     pub async fn until(&self, what: &str, done: impl Fn(&Value) -> bool) -> Value {
         self.eventually(what, "/api/v1/status", done).await
