@@ -14,7 +14,7 @@ use clap::error::ErrorKind;
 use clap::{ArgMatches, Args, CommandFactory, FromArgMatches, Parser, Subcommand};
 use clap_complete::Shell;
 use palpate::cli;
-use virtual_rig::{OperatorArgs, RigArgs, RunError, operator_main, rig_main};
+use virtual_rig::{OperatorArgs, RigArgs, RigOptions, RunError, operator_main, rig_main};
 
 /// Presses a tactile robot skin with a rig, trains models on the measured trials, and estimates position and
 /// force of contacts.
@@ -66,37 +66,8 @@ struct VirtualRigArgs {
     /// Sensor file, or the name of a carried one: the skin's geometry and materials [default: ert-28].
     #[arg(long, value_name = "FILE")]
     sensor: Option<PathBuf>,
-    /// Seed of the skin: each seed is a different skin.
-    #[arg(long, value_name = "N", default_value_t = cli::DEFAULT_SKIN_SEED)]
-    seed: u64,
-    /// Process seconds per wall second [default: clock_rate of the rig file]. Start the service with
-    /// the rig file that --out-rig writes: it contains this rate.
-    #[arg(long, value_name = "N")]
-    speed: Option<f64>,
-    /// Days since the readout was first switched on: its offsets have drifted since.
-    #[arg(long, value_name = "DAYS", default_value_t = 0.0)]
-    age_days: f64,
-    /// Serve every wire at a free port or a new pseudo-terminal, independent of the rig file.
-    #[arg(long)]
-    ephemeral: bool,
-    /// Write the rig file with the addresses that are served.
-    #[arg(long, value_name = "FILE")]
-    out_rig: Option<PathBuf>,
-    /// Fault script, or the name of a carried one: which faults occur, and when.
-    #[arg(long, value_name = "SCRIPT")]
-    fault: Option<PathBuf>,
-    /// Address of the control socket.
-    #[arg(long, value_name = "ADDRESS", default_value = "127.0.0.1:0")]
-    control: String,
-    /// Folder in which solved response fields are cached [default: DATA/cache].
-    #[arg(long, value_name = "DIR")]
-    cache: Option<PathBuf>,
-    /// Write the line that reports readiness to this file, too.
-    #[arg(long, value_name = "FILE")]
-    ready_file: Option<PathBuf>,
-    /// End when standard input closes, that is when the parent process ends.
-    #[arg(long)]
-    with_parent: bool,
+    #[command(flatten)]
+    options: RigOptions,
     /// Folder for the default files and the cache [env: PALPATE_DATA] [default: palpate-data].
     #[arg(long, value_name = "DIR")]
     data: Option<PathBuf>,
@@ -174,23 +145,12 @@ impl VirtualRigArgs {
         let data = cli::data_or_default(self.data);
         let named = [self.rig, self.gap, self.sensor];
         let folder = data.join("virtual-rig");
-        let fault = self.fault.map(|named| cli::fault_script(&folder, &named)).transpose()?;
+        let mut options = self.options;
+        let script = |named: PathBuf| cli::fault_script(&folder, &named);
+        options.fault = options.fault.map(script).transpose()?;
+        options.cache.get_or_insert_with(|| data.join("cache"));
         let files = cli::virtual_rig_files(&folder, named)?;
-        Ok(RigArgs {
-            rig: files.rig,
-            gap: files.gap,
-            sensor: files.sensor,
-            seed: self.seed,
-            speed: self.speed,
-            age_days: self.age_days,
-            ephemeral: self.ephemeral,
-            out_rig: self.out_rig,
-            fault,
-            control: self.control,
-            cache: Some(self.cache.unwrap_or_else(|| data.join("cache"))),
-            ready_file: self.ready_file,
-            with_parent: self.with_parent,
-        })
+        Ok(RigArgs { rig: files.rig, gap: files.gap, sensor: files.sensor, options })
     }
 }
 
@@ -239,6 +199,13 @@ mod tests {
     #[test]
     fn the_command_line_is_well_formed() {
         command_line().debug_assert();
+    }
+
+    #[test]
+    fn a_virtual_rig_has_the_skin_of_the_default_lab() {
+        let typed = CommandLine::try_parse_from(["palpate", "virtual-rig"]).unwrap();
+        let Command::VirtualRig(args) = typed.command else { panic!("another command") };
+        assert_eq!(args.options.seed, cli::DEFAULT_SKIN_SEED);
     }
 
     /// Calls `check` with each command, and its words after `palpate`.

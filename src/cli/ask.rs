@@ -15,10 +15,11 @@ use super::error::{CliError, CliResult};
 use super::find::find_run;
 use super::key::key;
 use super::output::{counted, duration, note, say, say_json};
-use super::view::{RunView, StatusView};
+use super::view::StatusView;
 use super::{At, embed, workers};
 use crate::campaign::bench::stopping::StoppingDistance;
 use crate::campaign::shown::safe_end::{SafeEnd, Tips};
+use crate::campaign::shown::status::RunStatus;
 use crate::ids::RunUid;
 use crate::store::RunRow;
 
@@ -122,7 +123,7 @@ pub async fn act(args: &ActArgs, action: &str, more: Value) -> CliResult<()> {
 pub async fn act_in_time(
     args: &ActArgs,
     action: &str,
-    more: impl FnOnce(&RunView) -> Value,
+    more: impl FnOnce(&RunStatus) -> Value,
 ) -> CliResult<()> {
     let client = embed::server(&args.at).await?;
     let status = client.status().await?;
@@ -377,7 +378,7 @@ fn twin_words(twins: &Value) -> Option<String> {
     Some(format!("twins    {} of {trials}{fit}{failed}", trials - pending))
 }
 
-fn run_words(run: &RunView) -> Vec<String> {
+fn run_words(run: &RunStatus) -> Vec<String> {
     let requested =
         run.requested_state.as_ref().map_or_else(String::new, |r| format!(", requested {r}"));
     let (id, name, state) = (run.scan_id, &run.experiment, &run.state);

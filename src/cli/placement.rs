@@ -6,10 +6,9 @@ use serde_json::{Value, json};
 
 use super::ask::{ActArgs, act_in_time};
 use super::error::CliResult;
-use super::view::RunView;
 use super::{At, embed};
 use crate::api::{PlacementOut, Stage};
-use crate::campaign::shown::status::Wanted;
+use crate::campaign::shown::status::{RunStatus, Wanted};
 
 /// Options of `confirm`.
 #[derive(Debug, Clone, Args)]
@@ -39,7 +38,7 @@ pub struct RepeatArgs {
 /// # Errors
 /// As [`act_in_time`]; also if the skin contradicts the placement, or the run waits for something else meanwhile.
 pub async fn confirm(args: &ConfirmArgs) -> CliResult<()> {
-    let more = |run: &RunView| confirmation(args, run.wanted.as_ref());
+    let more = |run: &RunStatus| confirmation(args, run.wanted.as_ref());
     act_in_time(&args.act, "confirm", more).await
 }
 

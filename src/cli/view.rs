@@ -1,5 +1,5 @@
 //! The parts of the service's answers that the command line reads.
-//! Uses: serde, the vocabulary of `campaign`, ratings of `api`. Never: fields that are not shown or used.
+//! Uses: serde, the status of `campaign`, ratings of `api`. Never: fields that are not shown or used.
 
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
@@ -8,19 +8,11 @@ use serde_json::Value;
 use super::care::CareView;
 use super::times::local;
 use crate::api::Rating;
-use crate::campaign::bench::estop::AxisStop;
-use crate::campaign::bench::interlock::{Trip, TripKind};
-use crate::campaign::bench::rig_state::RigState;
-use crate::campaign::bench::stopping::StoppingDistance;
 use crate::campaign::shown::run_action::ActionOnRun;
-use crate::campaign::shown::safe_end::{self, SafeEnd};
-use crate::campaign::shown::status::{Eta, Motion, Phase, Wanted};
+use crate::campaign::shown::status::{RigStatus, RunStatus};
 use crate::conductor::Started;
 use crate::event::{self, Importance};
-use crate::ids::{RunUid, TrialKey};
-use crate::record::{Label, Pose};
-use crate::schedule::visits::StepOfTour;
-use crate::state::StoredState;
+use crate::ids::RunUid;
 use crate::store::LockRow;
 
 /// `GET /api/v1/status`.
@@ -30,9 +22,9 @@ pub struct StatusView {
     #[serde(default)]
     pub at: Option<Timestamp>,
     /// Rig part of the status.
-    pub rig: RigView,
+    pub rig: RigStatus,
     /// The active run.
-    pub run: Option<RunView>,
+    pub run: Option<RunStatus>,
     /// Service part of the status.
     pub service: ServiceView,
     /// The operator lock, while it is held.
@@ -130,109 +122,6 @@ pub fn need_words(need: &NeedView) -> String {
 /// The entries of a list in an answer; none if it is absent.
 pub fn rows<'a>(of: &'a Value, key: &str) -> &'a [Value] {
     of[key].as_array().map_or(&[], Vec::as_slice)
-}
-
-/// Rig part of the status.
-#[derive(Debug, Clone, PartialEq, Deserialize)]
-pub struct RigView {
-    /// Name from the rig file.
-    pub name: String,
-    /// `measured` or `virtual`.
-    pub label: Label,
-    /// Whether the rig has a stage and load cells.
-    pub has_stage: bool,
-    /// State of the rig.
-    pub state: RigState,
-    /// Homing or jog in progress; absent from an older service.
-    pub motion: Option<Motion>,
-    /// Latched trip, if any.
-    pub trip: Option<Trip>,
-    /// Process seconds per wall second.
-    pub clock_rate: f64,
-    /// Position of the stage and the arms.
-    pub pose: Option<Pose>,
-    /// Forces of attached arms, N.
-    pub forces_n: Vec<Option<f64>>,
-    /// Limit on the force of one cell, N; absent without cells.
-    pub force_limit_n: Option<f64>,
-    /// Number of mounted tips, as stated by a person.
-    pub tips: Option<u8>,
-    /// Time from an e-stop until every axis had acknowledged, ms.
-    pub estop_acknowledged_ms: Option<f64>,
-    /// State of each axis's stop, while an e-stop is latched.
-    pub estop_stops: Vec<AxisStop>,
-    /// Result of the last safe end.
-    pub safe_end: Option<SafeEnd>,
-    /// Largest growth of the force between a sample and its stop.
-    pub stopping: Option<StoppingDistance>,
-}
-
-impl RigView {
-    /// State of the rig, with the homing or jog in progress, as text.
-    pub fn state_words(&self) -> String {
-        let motion = self.motion.map(|motion| format!(", {}", motion.as_str()));
-        format!("{}{}", self.state.as_str(), motion.unwrap_or_default())
-    }
-
-    /// The largest force on a tip, N.
-    pub fn max_force_n(&self) -> Option<f64> {
-        self.forces_n.iter().copied().flatten().reduce(f64::max)
-    }
-
-    /// Axes that the last stops have not stopped, each with its cause.
-    pub fn not_stopped(&self) -> Vec<String> {
-        safe_end::not_stopped(&self.estop_stops, self.safe_end.as_ref())
-    }
-
-    /// Whether every axis was read at rest after the latched e-stop.
-    pub fn stands(&self) -> bool {
-        !self.estop_stops.is_empty() && self.estop_stops.iter().all(|s| s.stood_ms.is_some())
-    }
-
-    /// Cause of the trip, as text.
-    pub fn trip_words(&self) -> String {
-        let words = |trip: &Trip| match (trip.kind, trip.detail.as_str()) {
-            (TripKind::Estop, "") => "e-stop".into(),
-            (TripKind::Estop, why) => format!("e-stop: {why}"),
-            (_, detail) => detail.to_owned(),
-        };
-        self.trip.as_ref().map_or_else(|| "for no stated reason".into(), words)
-    }
-}
-
-/// Run part of the status.
-#[derive(Debug, Clone, PartialEq, Deserialize)]
-pub struct RunView {
-    /// Uid of the run.
-    pub uid: RunUid,
-    /// Number for people.
-    pub scan_id: i64,
-    /// Name of the experiment.
-    pub experiment: String,
-    /// State of the run.
-    pub state: StoredState,
-    /// State that a request leads to; absent without a request.
-    pub requested_state: Option<StoredState>,
-    /// What the run waits for, as text.
-    pub waiting_for: Option<String>,
-    /// What a person must do before it continues; absent if nothing.
-    pub wanted: Option<Wanted>,
-    /// Activity within the current trial.
-    pub phase: Phase,
-    /// Current or most recent configuration or placement in the tour.
-    pub current_step: Option<StepOfTour>,
-    /// The current trial.
-    pub trial: Option<TrialKey>,
-    /// Trials in the plan.
-    pub trials_planned: u64,
-    /// Number of stored trials.
-    pub trials_stored: u64,
-    /// Number of trials of skipped configurations.
-    pub trials_skipped: u64,
-    /// Number of failed attempts.
-    pub retries: u64,
-    /// Estimated remaining time.
-    pub eta: Option<Eta>,
 }
 
 /// Service part of the status.
@@ -343,18 +232,6 @@ mod tests {
         };
         assert_eq!(glance("on_time", "good"), ("on time".into(), Some(Rating::Good)));
         assert_eq!(glance("on_budget", "dire"), ("on budget".into(), None));
-    }
-
-    #[test]
-    fn a_homing_is_shown_with_the_state_and_an_older_service_names_none() {
-        let mut rig = json!({ "name": "lab", "label": "virtual", "has_stage": true,
-            "state": "disarmed", "trip": null, "clock_rate": 1.0, "pose": null, "forces_n": [],
-            "force_limit_n": null, "tips": null, "estop_acknowledged_ms": null,
-            "estop_stops": [], "safe_end": null, "stopping": null });
-        let words = |rig: &Value| RigView::deserialize(rig).unwrap().state_words();
-        assert_eq!(words(&rig), "disarmed");
-        rig["motion"] = "homing".into();
-        assert_eq!(words(&rig), "disarmed, homing");
     }
 
     #[test]

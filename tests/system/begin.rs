@@ -142,11 +142,7 @@ async fn left_as_it_homes(lab: &Lab, command_args: &[&str]) {
     kill_process(Pid::from_raw(homes.0.id().cast_signed()).unwrap(), Signal::INT).unwrap();
     let ended = tokio::task::block_in_place(|| homes.0.wait()).unwrap();
     assert_eq!(ended.code(), Some(1));
-    let status = lab.until("a safe end", |s| !s["rig"]["safe_end"].is_null()).await;
-    assert_eq!(
-        (&status["rig"]["state"], &status["rig"]["trip"]),
-        (&json!("disarmed"), &Value::Null)
-    );
+    lab.ends_safely().await;
 }
 
 /// Starts a command for which the rig homes, until its request is accepted.

@@ -8,7 +8,7 @@ use palpate::api::{ServeOptions, Service};
 use palpate::conductor::AutoResume;
 use serde_json::{Value, json};
 use tokio::sync::{Semaphore, SemaphorePermit};
-use virtual_rig::run::{RigArgs, VirtualRig};
+use virtual_rig::run::{RigArgs, RigOptions, VirtualRig};
 use virtual_rig::{OperatorArgs, operator_main};
 
 use crate::common::serve_options;
@@ -24,10 +24,7 @@ pub fn file(name: &str) -> PathBuf {
 
 /// Arguments of a virtual rig that is this much faster than the wall.
 pub fn rig_args(rig: &str, speed: f64) -> RigArgs {
-    RigArgs {
-        rig: file(&format!("rigs/{rig}.toml")),
-        gap: file("gaps/gap-a.toml"),
-        sensor: file("sensors/ert-28.toml"),
+    let options = RigOptions {
         seed: 3,
         speed: Some(speed),
         age_days: 0.0,
@@ -38,7 +35,10 @@ pub fn rig_args(rig: &str, speed: f64) -> RigArgs {
         cache: Some(skin_cache()),
         ready_file: None,
         with_parent: false,
-    }
+    };
+    let rig = file(&format!("rigs/{rig}.toml"));
+    let (gap, sensor) = (file("gaps/gap-a.toml"), file("sensors/ert-28.toml"));
+    RigArgs { rig, gap, sensor, options }
 }
 
 /// Shares of the machine: an accelerated rig that is late by a wall millisecond is late by tens of process
@@ -92,7 +92,7 @@ pub struct Lab {
 impl Lab {
     /// Switches everything on, with a share of the machine.
     pub async fn open(name: &str, args: RigArgs, share: u32) -> Self {
-        let speed = args.speed.unwrap();
+        let speed = args.options.speed.unwrap();
         let lab = Self::open_alone(name, args, share).await;
         lab.call_operator(speed);
         lab
@@ -148,6 +148,13 @@ impl Lab {
         let (status, answer) = self.post(path, body).await;
         assert!(status < 300, "{path}: {status} {answer}");
         answer
+    }
+
+    /// Waits for a safe end, which must leave no trip.
+    pub async fn ends_safely(&self) {
+        let status = self.until("a safe end", |s| !s["rig"]["safe_end"].is_null()).await;
+        let rig = &status["rig"];
+        assert_eq!((&rig["state"], &rig["trip"]), (&json!("disarmed"), &Value::Null));
     }
 
     /// Waits for the status to satisfy this.

@@ -38,7 +38,8 @@ async fn rig_of(
     rig: PathBuf,
     latch: &StopLatch,
 ) -> (VirtualRig, RigConfig, OpenBench, Clock) {
-    let args = RigArgs { rig, seed: 1, ..rig_args("virtual", SPEED) };
+    let mut args = RigArgs { rig, ..rig_args("virtual", SPEED) };
+    args.options.seed = 1;
     let rig = VirtualRig::switch_on(&args).await.unwrap();
     let config = RigConfig::from_toml(name, &rig.rig_text).unwrap();
     assert_eq!(config.clock_rate, SPEED);

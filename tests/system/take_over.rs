@@ -15,6 +15,12 @@ async fn x_mm(lab: &Lab) -> f64 {
     truth["axes"][0]["position"].as_f64().unwrap()
 }
 
+/// Sticks x: the next homing lasts until the limit of twelve seconds.
+async fn stick_x(lab: &Lab) {
+    let fault = json!({ "cmd": "fault", "kind": "stuck_axis", "device": "x", "for_s": 6000.0 });
+    lab.tell_rig(fault).await;
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn a_manual_run_is_taken_up_after_a_restart_without_a_motion() {
     let lab = Lab::open_alone("hands", rig_args("virtual", SPEED), WAITS).await;
@@ -74,18 +80,12 @@ async fn an_e_stop_with_closed_wires_is_stored_at_once_for_the_next_process() {
 async fn an_abort_ends_the_homing_for_a_run_that_is_about_to_be_driven_again() {
     let (lab, run) = started("homes").await;
     lab.stored(5).await;
-    // Its homing lasts until the limit of twelve seconds.
-    lab.tell_rig(json!({ "cmd": "fault", "kind": "stuck_axis", "device": "x", "for_s": 6000.0 }))
-        .await;
+    stick_x(&lab).await;
     let lab = lab.restart().await;
     lab.until("a homing", |s| s["rig"]["state"] == "disarmed").await;
     tokio::time::sleep(Duration::from_millis(500)).await;
     lab.accepts(&run, json!({ "action": "abort" })).await;
-    let status = lab.until("a safe end", |s| !s["rig"]["safe_end"].is_null()).await;
-    assert_eq!(
-        (&status["rig"]["state"], &status["rig"]["trip"]),
-        (&json!("disarmed"), &Value::Null)
-    );
+    lab.ends_safely().await;
     // The next attempt is the last one.
     lab.told("not_resumed", "meanwhile: it is not driven").await;
     let row = lab.get(&format!("/api/v1/runs/{run}")).await;
@@ -97,9 +97,7 @@ async fn an_abort_ends_the_homing_for_a_run_that_is_about_to_be_driven_again() {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_homing_is_named_by_the_status_until_an_abort_ends_it() {
     let lab = Lab::open("homing", rig_args("virtual", SPEED), WAITS).await;
-    // Its homing lasts until the limit of twelve seconds.
-    lab.tell_rig(json!({ "cmd": "fault", "kind": "stuck_axis", "device": "x", "for_s": 6000.0 }))
-        .await;
+    stick_x(&lab).await;
     lab.operate(json!({ "action": "connect" })).await;
     assert_eq!(lab.get("/api/v1/status").await["rig"]["motion"], Value::Null);
     lab.operate(json!({ "action": "home" })).await;
@@ -107,11 +105,7 @@ async fn a_homing_is_named_by_the_status_until_an_abort_ends_it() {
     let abort = json!({ "who": "test" });
     lab.posted("/api/v1/rig/abort", abort.clone()).await;
     lab.until("its end", |s| s["rig"]["motion"].is_null()).await;
-    let status = lab.until("a safe end", |s| !s["rig"]["safe_end"].is_null()).await;
-    assert_eq!(
-        (&status["rig"]["state"], &status["rig"]["trip"]),
-        (&json!("disarmed"), &Value::Null)
-    );
+    lab.ends_safely().await;
     let (code, words) = lab.post("/api/v1/rig/abort", abort).await;
     assert_eq!(code, 409, "{words:#}");
     lab.close().await;
@@ -121,9 +115,7 @@ async fn a_homing_is_named_by_the_status_until_an_abort_ends_it() {
 async fn a_pause_of_a_run_that_is_about_to_be_driven_again_holds_it() {
     let (lab, run) = started("held").await;
     lab.stored(5).await;
-    // Its homing lasts until the limit of twelve seconds.
-    lab.tell_rig(json!({ "cmd": "fault", "kind": "stuck_axis", "device": "x", "for_s": 6000.0 }))
-        .await;
+    stick_x(&lab).await;
     let lab = lab.restart().await;
     lab.until("a homing", |s| s["rig"]["state"] == "disarmed").await;
     // The command names no run, and none is active.

@@ -26,4 +26,4 @@ pub mod hand;
 pub mod operator;
 
 pub use operator::{OperatorArgs, OperatorError, operator_main};
-pub use run::{Ready, RigArgs, RunError, VirtualRig, rig_main};
+pub use run::{Ready, RigArgs, RigOptions, RunError, VirtualRig, rig_main};

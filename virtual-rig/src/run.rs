@@ -33,41 +33,45 @@ const BACKLOG: u32 = 64;
 /// Number of threads for the wires.
 const WORKERS: usize = 2;
 
-/// `palpate virtual-rig`: a virtual rig behind real wires.
-#[derive(Debug, Clone, Args)]
+/// A virtual rig behind real wires: its files and options.
+#[derive(Debug, Clone)]
 pub struct RigArgs {
     /// Rig file: devices and their wires.
-    #[arg(long, value_name = "FILE")]
     pub rig: PathBuf,
     /// Gap file: difference between this skin and the model.
-    #[arg(long, value_name = "FILE")]
     pub gap: PathBuf,
     /// Sensor file: geometry and materials of the skin.
-    #[arg(long, value_name = "FILE")]
     pub sensor: PathBuf,
+    /// All else.
+    pub options: RigOptions,
+}
+
+/// Options of `palpate virtual-rig`.
+#[derive(Debug, Clone, Args)]
+pub struct RigOptions {
     /// Seed of the skin: each seed is a different skin.
-    #[arg(long, value_name = "N", default_value_t = 1)]
+    #[arg(long, value_name = "N", default_value_t = 3)]
     pub seed: u64,
-    /// Process seconds per wall second; absent: the clock_rate of the rig file.
+    /// Process seconds per wall second [default: clock_rate of the rig file]. Start the service with
+    /// the rig file that --out-rig writes: it contains this rate.
     #[arg(long, value_name = "N")]
     pub speed: Option<f64>,
     /// Days since the readout was first switched on: its offsets have drifted since.
     #[arg(long, value_name = "DAYS", default_value_t = 0.0)]
     pub age_days: f64,
-    /// Serve every TCP wire at a free local port and every serial wire at a new pseudo-terminal,
-    /// independent of the rig file.
+    /// Serve every wire at a free port or a new pseudo-terminal, independent of the rig file.
     #[arg(long)]
     pub ephemeral: bool,
     /// Write the rig file with the addresses that are served.
     #[arg(long, value_name = "FILE")]
     pub out_rig: Option<PathBuf>,
-    /// Fault script: which faults occur, and when.
+    /// Fault script, or the name of a carried one: which faults occur, and when.
     #[arg(long, value_name = "SCRIPT")]
     pub fault: Option<PathBuf>,
     /// Address of the control socket.
     #[arg(long, value_name = "ADDRESS", default_value = "127.0.0.1:0")]
     pub control: String,
-    /// Folder in which solved response fields are cached.
+    /// Folder in which solved response fields are cached [default: DATA/cache].
     #[arg(long, value_name = "DIR")]
     pub cache: Option<PathBuf>,
     /// Write the line that reports readiness to this file, too.
@@ -174,7 +178,7 @@ pub fn rig_main(args: RigArgs) -> Result<(), RunError> {
         .build()
         .map_err(RunError::Start)?;
     let outcome = runtime.block_on(async {
-        let ended = end_of_life(args.with_parent)?;
+        let ended = end_of_life(args.options.with_parent)?;
         tokio::pin!(ended);
         let rig = tokio::select! {
             rig = VirtualRig::switch_on(&args) => rig?,
@@ -183,7 +187,7 @@ pub fn rig_main(args: RigArgs) -> Result<(), RunError> {
         let line = serde_json::json!(rig.ready).to_string();
         let mut out = io::stdout();
         writeln!(out, "{line}").and_then(|()| out.flush()).map_err(RunError::Start)?;
-        if let Some(path) = &args.ready_file {
+        if let Some(path) = &args.options.ready_file {
             write_file(path, &line)?;
         }
         ended.await;
@@ -239,6 +243,7 @@ impl VirtualRig {
     /// # Errors
     /// `RunError` if a file is not valid, a wire cannot be opened, or the skin cannot be built.
     pub async fn switch_on(args: &RigArgs) -> Result<Self, RunError> {
+        let options = &args.options;
         let rig_text = read_file(&args.rig)?;
         let mut rig = RigFile::from_toml(&rig_text)
             .map_err(|source| RunError::Rig { path: args.rig.clone(), source })?;
@@ -246,12 +251,12 @@ impl VirtualRig {
             .map_err(|source| RunError::Sensor { path: args.sensor.clone(), source })?;
         let gap = GapFile::from_toml(&read_file(&args.gap)?)
             .map_err(|source| RunError::Gap { path: args.gap.clone(), source })?;
-        let faults = match &args.fault {
+        let faults = match &options.fault {
             Some(path) => fault::script(&read_file(path)?, &rig)
                 .map_err(|source| RunError::Fault { path: path.clone(), source })?,
             None => Vec::new(),
         };
-        let speed = args.speed.unwrap_or(rig.clock_rate);
+        let speed = options.speed.unwrap_or(rig.clock_rate);
         if !(speed.is_finite() && speed > 0.0) {
             return Err(RunError::Speed(speed));
         }
@@ -263,8 +268,8 @@ impl VirtualRig {
         let size = [sensor.file.width_mm, sensor.file.height_mm];
         let circuit = &sensor.file.circuit;
         let amplifier = Amplifier { source_v: circuit.source_v * circuit.gain };
-        let readout = AnyReadout::new(&sensor, &gap, args.seed, args.age_days);
-        let (seed, cache) = (args.seed, args.cache.clone());
+        let readout = AnyReadout::new(&sensor, &gap, options.seed, options.age_days);
+        let (seed, cache) = (options.seed, options.cache.clone());
         let (solver, mechanics) = tokio::task::spawn_blocking(move || {
             let mechanics = AnyMechanics::new(&sensor, &gap, seed)?;
             let skin = AnySkin::new(sensor, gap, seed, cache.as_deref())?;
@@ -272,13 +277,13 @@ impl VirtualRig {
         })
         .await
         .map_err(|e| RunError::Start(io::Error::other(e)))??;
-        let bench = Bench::power_up(&rig, size, mechanics, faults, args.seed);
+        let bench = Bench::power_up(&rig, size, mechanics, faults, options.seed);
 
-        let mut doors = Doors::open(&rig, args).await?;
+        let mut doors = Doors::open(&rig, options).await?;
         let clock = RigClock::start(speed);
         let lab = Arc::new(Lab::new(rig, clock, solver, bench));
         let rig_text = served_rig(&rig_text, &doors, speed)?;
-        if let Some(path) = &args.out_rig {
+        if let Some(path) = &options.out_rig {
             write_file(path, &rig_text)?;
         }
         let ready = Ready {
@@ -287,12 +292,12 @@ impl VirtualRig {
             lines: doors.lines_at.clone(),
             ert: doors.ert_at.clone(),
             speed,
-            rig: args.out_rig.clone(),
+            rig: options.out_rig.clone(),
         };
         let links = std::mem::take(&mut doors.links);
         let (wires, sinks) = doors.serve(&lab);
         let stream =
-            Stream::start(lab, readout, sinks, amplifier, args.seed).map_err(RunError::Start)?;
+            Stream::start(lab, readout, sinks, amplifier, options.seed).map_err(RunError::Start)?;
         Ok(Self { ready, rig_text, _stream: stream, _wires: wires, _links: links })
     }
 }
@@ -310,19 +315,19 @@ struct Doors {
 }
 
 impl Doors {
-    async fn open(rig: &RigFile, args: &RigArgs) -> Result<Self, RunError> {
+    async fn open(rig: &RigFile, options: &RigOptions) -> Result<Self, RunError> {
         let mut links = Vec::new();
-        let (control, control_at) = listen(&args.control, false, None).await?;
+        let (control, control_at) = listen(&options.control, false, None).await?;
         let (mut tcp, mut rtu, mut lines_at) = (Vec::new(), Vec::new(), BTreeMap::new());
         for (name, line) in &rig.lines {
             let at = match line {
                 Line::ModbusTcp { address } => {
-                    let (listener, at) = listen(address, args.ephemeral, None).await?;
+                    let (listener, at) = listen(address, options.ephemeral, None).await?;
                     tcp.push((name.clone(), listener));
                     at
                 }
                 Line::ModbusRtu { path } => {
-                    let (master, at) = open_pty(path, args.ephemeral, &mut links)?;
+                    let (master, at) = open_pty(path, options.ephemeral, &mut links)?;
                     rtu.push((name.clone(), master));
                     at
                 }
@@ -331,12 +336,13 @@ impl Doors {
         }
         let (sinks, ert_at) = match &rig.ert.port {
             ErtPort::Tcp { address } => {
-                let (listener, at) = listen(address, args.ephemeral, Some(STREAM_BUFFER)).await?;
+                let (listener, at) =
+                    listen(address, options.ephemeral, Some(STREAM_BUFFER)).await?;
                 let listener = listener.into_std().map_err(RunError::Start)?;
                 (Sinks::Tcp { listener, clients: Vec::new() }, at)
             }
             ErtPort::Serial { path } => {
-                let (master, at) = open_pty(path, args.ephemeral, &mut links)?;
+                let (master, at) = open_pty(path, options.ephemeral, &mut links)?;
                 (Sinks::Pty(PtySink::new(master)), at)
             }
         };

@@ -18,7 +18,7 @@ use super::leave::{
 };
 use super::output::say_json;
 use super::signals::{Asked, Signals};
-use super::view::RunView;
+use crate::campaign::shown::status::RunStatus;
 use crate::ids::RunUid;
 use crate::state::StoredState;
 
@@ -199,7 +199,7 @@ impl Follower {
     }
 
     /// Aborts a run that has waited too long for a person.
-    async fn be_patient(&mut self, run: &RunView) -> CliResult<()> {
+    async fn be_patient(&mut self, run: &RunStatus) -> CliResult<()> {
         if run.waiting_for.is_none() {
             self.waits = None;
             return Ok(());

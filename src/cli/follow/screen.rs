@@ -8,10 +8,10 @@ use indicatif::ProgressBar;
 use serde_json::json;
 use tokio::time::Instant;
 
-use crate::campaign::shown::status::Eta;
+use crate::campaign::shown::status::{Eta, RunStatus};
 use crate::cli::output::{counted, duration, note, say_json, shown};
 use crate::cli::progress::{PROGRESS_LINES, bar};
-use crate::cli::view::{RunView, StatusView};
+use crate::cli::view::StatusView;
 use crate::state::StoredState;
 
 /// Output: standard error for people, standard output for scripts.
@@ -33,7 +33,7 @@ impl Screen {
         Self { bar, terminal, json, url: url.to_owned(), told: None, stored: None }
     }
 
-    pub(super) fn progress(&mut self, run: &RunView, status: &StatusView) {
+    pub(super) fn progress(&mut self, run: &RunStatus, status: &StatusView) {
         self.bar.set_length(run.trials_planned);
         self.bar.set_position(run.trials_stored + run.trials_skipped);
         let wait = wait_words(run, &self.url);
@@ -67,7 +67,7 @@ impl Screen {
     }
 }
 
-fn progress_line(run: &RunView, status: &StatusView) -> serde_json::Value {
+fn progress_line(run: &RunStatus, status: &StatusView) -> serde_json::Value {
     json!({
         "event": "progress",
         "run": run.uid,
@@ -82,7 +82,7 @@ fn progress_line(run: &RunView, status: &StatusView) -> serde_json::Value {
 }
 
 /// What the run waits for, or the command that continues a run which a person paused; `None` if it waits for nothing.
-fn wait_words(run: &RunView, url: &str) -> Option<String> {
+fn wait_words(run: &RunStatus, url: &str) -> Option<String> {
     match (&run.waiting_for, run.state) {
         (Some(words), _) => Some(format!("waits: {words}")),
         (None, StoredState::Paused) => {
@@ -93,7 +93,7 @@ fn wait_words(run: &RunView, url: &str) -> Option<String> {
 }
 
 /// Progress as text; `wait`: the words for what the run waits for.
-fn progress_words(run: &RunView, status: &StatusView, wait: Option<&str>) -> String {
+fn progress_words(run: &RunStatus, status: &StatusView, wait: Option<&str>) -> String {
     let mut parts = vec![match (wait, run.state) {
         (Some(wait), _) => wait.to_owned(),
         (None, StoredState::Running) => run.phase.as_str().replace('_', "-"),
@@ -135,11 +135,10 @@ mod tests {
     fn a_run_that_a_person_paused_is_shown_once_with_the_command_that_continues_it() {
         let run = json!({
             "uid": "01a208ed-3612-760c-9dff-1d5fb515cdf8", "scan_id": 3, "experiment": "night",
-            "state": "paused", "requested_state": null, "waiting_for": null, "wanted": null,
-            "phase": "next", "trial": null, "trials_planned": 40, "trials_stored": 12,
-            "trials_skipped": 0, "retries": 0, "eta": null, "current_step": null,
+            "is_manual": false, "state": "paused", "phase": "next", "trials_planned": 40,
+            "trials_stored": 12, "trials_skipped": 0, "retries": 0, "needed_bytes": 0,
         });
-        let mut run = RunView::deserialize(&run).unwrap();
+        let mut run = RunStatus::deserialize(&run).unwrap();
         let url = "http://rig:8080";
         let paused = wait_words(&run, url);
         assert_eq!(paused.as_deref(), Some("paused: palpate resume 3 --url http://rig:8080"));

@@ -11,8 +11,8 @@ use super::facts::{self, Now};
 use super::night::Night;
 use super::skin;
 use super::theme::Theme;
+use crate::campaign::shown::status::RigStatus;
 use crate::cli::output::filled;
-use crate::cli::view::RigView;
 use crate::event::Importance::{Act, Look, Notable, Routine};
 use crate::record::ARMS;
 
@@ -112,7 +112,7 @@ fn draw_first(frame: &mut Frame, area: Rect, night: &Night, theme: Theme) {
 }
 
 /// One bar per arm, from 0 to the limit of one cell.
-fn draw_forces(frame: &mut Frame, area: Rect, rig: &RigView, theme: Theme) {
+fn draw_forces(frame: &mut Frame, area: Rect, rig: &RigStatus, theme: Theme) {
     let limit_n = rig.force_limit_n.filter(|limit_n| *limit_n > 0.0);
     let limit = limit_n.map_or_else(String::new, |limit_n| format!(", limit {limit_n:.0} N"));
     let area = titled(frame, area, &format!("forces{limit}"), theme);

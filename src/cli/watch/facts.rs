@@ -10,10 +10,10 @@ use super::answers::per_hour;
 use super::night::{Night, Told, one_line};
 use super::theme::Theme;
 use crate::api::{Rating, RigRates, Suspender};
-use crate::campaign::shown::status::Eta;
+use crate::campaign::shown::status::{Eta, RunStatus};
 use crate::cli::output::{bytes, counted, duration, grouped};
 use crate::cli::rig_facts::broken_channels;
-use crate::cli::view::{RunView, StatusView};
+use crate::cli::view::StatusView;
 use crate::event::Importance::{self, Act, Look, Routine};
 use crate::record::Label;
 use crate::state::StoredState;
@@ -80,7 +80,7 @@ pub fn lost(night: &Night, now: &Now) -> Option<String> {
 }
 
 /// The progress of a run: share and text.
-pub fn progress(run: &RunView, heard_at: Timestamp, now: &Now) -> (f64, String) {
+pub fn progress(run: &RunStatus, heard_at: Timestamp, now: &Now) -> (f64, String) {
     let done = run.trials_stored + run.trials_skipped;
     let share = done as f64 / run.trials_planned.max(1) as f64;
     let mut words =
@@ -175,7 +175,7 @@ pub fn facts(night: &Night, status: &StatusView, now: &Now, theme: Theme) -> Vec
 }
 
 /// Where the run is in its tour, and what it does there.
-fn phase(run: &RunView) -> String {
+fn phase(run: &RunStatus) -> String {
     let words = run.phase.about();
     match (run.current_step, run.trial) {
         (Some(step), _) => format!("step {} of {}, {words}", step.index + 1, step.of),
@@ -192,7 +192,7 @@ fn pace(night: &Night) -> Option<String> {
 }
 
 /// The end as it was predicted at the start, and how much later or earlier it is expected now.
-fn predicted(night: &Night, run: &RunView, now: &Now) -> Option<String> {
+fn predicted(night: &Night, run: &RunStatus, now: &Now) -> Option<String> {
     let course = night.course.as_ref()?;
     let after = |from: Timestamp, in_s: f64| {
         SignedDuration::try_from_secs_f64(in_s).ok().and_then(|in_s| from.checked_add(in_s).ok())

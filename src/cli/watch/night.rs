@@ -7,7 +7,8 @@ use jiff::{SignedDuration, Timestamp};
 
 use super::answers::{Tour, Twins};
 use crate::api::{History, RigRates, RunProgress, SensorOut};
-use crate::cli::view::{EventView, RunView, StatusView, need_words};
+use crate::campaign::shown::status::RunStatus;
+use crate::cli::view::{EventView, StatusView, need_words};
 use crate::event::Importance;
 use crate::ids::RunUid;
 use crate::plain::escaped;
@@ -147,7 +148,7 @@ impl Night {
     }
 
     /// The active run.
-    pub fn active(&self) -> Option<&RunView> {
+    pub fn active(&self) -> Option<&RunStatus> {
         self.status.as_ref()?.run.as_ref()
     }
 

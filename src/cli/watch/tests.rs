@@ -17,6 +17,7 @@ use super::facts::Now;
 use super::night::{Mark, News, Night};
 use super::theme::Theme;
 use crate::api::{History, RigRates, RunProgress, StreamRates, WireRates};
+use crate::campaign::shown::status::StreamStatus;
 use crate::cli::view::StatusView;
 use crate::event::Importance;
 use crate::ids::RunUid;
@@ -45,12 +46,11 @@ fn status() -> Value {
             "clock_rate": 20.0,
             "pose": { "x_mm": 100.0, "y_mm": 80.0, "z_mm": 12.5, "radius_mm": 34.6 },
             "forces_n": [12.34, 70.0, 81.0, null, -0.1, 0.0], "force_limit_n": 80.0, "tips": 3,
-            "estop_acknowledged_ms": null, "estop_stops": [], "safe_end": null,
-            "stopping": null },
-        "run": { "uid": RUN, "scan_id": 12, "experiment": "real-hex-4", "state": "running",
-            "requested_state": "paused", "paused_why": null, "waiting_for": null,
-            "phase": "press", "trial": null, "trials_planned": 33000, "trials_stored": 12481,
-            "trials_skipped": 22, "retries": 3,
+            "stream": StreamStatus::default(), "wires": [], "estop_stops": [] },
+        "run": { "uid": RUN, "scan_id": 12, "experiment": "real-hex-4", "is_manual": false,
+            "state": "running", "requested_state": "paused", "phase": "press",
+            "trials_planned": 33000, "trials_stored": 12481,
+            "trials_skipped": 22, "retries": 3, "needed_bytes": 0,
             "eta": { "remaining_s": 7380.0, "low_s": 7000.0, "high_s": 8000.0 },
             "current_step": { "index": 2, "of": 5 } },
         "service": { "version": "0.1.0", "database": "palpate.db" },

@@ -11,7 +11,7 @@ use super::suspenders::Suspender;
 use crate::campaign::bench::interlock::Trip;
 use crate::campaign::bench::rig_state::RigState;
 use crate::campaign::shown::run_action::ActionOnRun;
-use crate::campaign::shown::safe_end::{self, Tips};
+use crate::campaign::shown::safe_end::Tips;
 use crate::campaign::shown::status::{Phase, RigStatus, RunStatus, Status, Wanted};
 use crate::event::Importance;
 use crate::plain::bytes;
@@ -125,7 +125,7 @@ pub(super) fn needs(status: &Status, around: Around<'_>) -> Vec<Need> {
 
 /// Axes that the last stops have not stopped, each with its cause.
 pub(super) fn not_stopped(rig: &RigStatus) -> Option<String> {
-    let axes = safe_end::not_stopped(&rig.estop_stops, rig.safe_end.as_ref());
+    let axes = rig.not_stopped();
     (!axes.is_empty()).then(|| axes.join(", "))
 }
 

@@ -11,7 +11,7 @@ use tokio_modbus::client::{Client, Context, rtu, tcp};
 use tokio_modbus::prelude::{Reader, Slave, Writer};
 use tokio_modbus::{Request, Response};
 use tokio_serial::SerialStream;
-use virtual_rig::{RigArgs, RunError, VirtualRig};
+use virtual_rig::{RigArgs, RigOptions, RunError, VirtualRig};
 
 pub const IAI_TCP: &str = include_str!("../../../experiments/rigs/virtual.toml");
 const SENSOR: &str = include_str!("../../../experiments/sensors/ert-28.toml");
@@ -68,10 +68,7 @@ pub async fn serve(
     std::fs::write(&rig_file, rig).unwrap();
     std::fs::write(&sensor, SENSOR).unwrap();
     std::fs::write(&fault, faults).unwrap();
-    let args = RigArgs {
-        rig: rig_file,
-        gap: experiments().join("gaps/gap-a.toml"),
-        sensor,
+    let options = RigOptions {
         seed: 3,
         speed: Some(speed),
         age_days: 0.0,
@@ -83,6 +80,8 @@ pub async fn serve(
         ready_file: None,
         with_parent: false,
     };
+    let gap = experiments().join("gaps/gap-a.toml");
+    let args = RigArgs { rig: rig_file, gap, sensor, options };
     let _alone = SWITCH.lock().await;
     VirtualRig::switch_on(&args).await
 }

@@ -63,15 +63,3 @@ impl SafeEnd {
         self.tips == other.tips && self.stops.iter().map(result).eq(other.stops.iter().map(result))
     }
 }
-
-/// Axes whose last stop is not acknowledged, or that move after it, each with its cause: of the latched e-stop, otherwise
-/// of the last safe end.
-pub fn not_stopped(of_estop: &[AxisStop], safe_end: Option<&SafeEnd>) -> Vec<String> {
-    let safe_end = safe_end.filter(|_| of_estop.is_empty());
-    let of_safe_end = safe_end.into_iter().flat_map(|end| &end.stops);
-    let moving = of_estop.iter().chain(of_safe_end).filter(|stop| !stop.is_done());
-    let words = |stop: &AxisStop| {
-        format!("{} ({})", stop.axis, stop.error.as_deref().unwrap_or("no answer yet"))
-    };
-    moving.map(words).collect()
-}

@@ -7,7 +7,7 @@ use strum::{IntoStaticStr, VariantArray};
 use utoipa::ToSchema;
 
 use crate::campaign::bench::estop::AxisStop;
-use crate::campaign::bench::interlock::Trip;
+use crate::campaign::bench::interlock::{Trip, TripKind};
 use crate::campaign::bench::rig_state::RigState;
 use crate::campaign::bench::stopping::StoppingDistance;
 use crate::campaign::run::run_state::PausedWhy;
@@ -17,6 +17,7 @@ use crate::record::{Label, PlacedContact, Pose, TouchOffRecord};
 use crate::schedule::visits::StepOfTour;
 use crate::state::StoredState;
 
+// The command line reads its parts, also from an older service: a field that is added needs a default.
 /// Status of rig and run.
 #[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
 pub struct Status {
@@ -77,7 +78,7 @@ impl Status {
 }
 
 /// Status of the rig.
-#[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct RigStatus {
     /// Name from the rig file.
     pub name: String,
@@ -137,6 +138,44 @@ impl RigStatus {
             RigState::Disconnected | RigState::Armed | RigState::Tripped => false,
         }
     }
+
+    /// State of the rig, with the homing or jog in progress, as text.
+    pub fn state_words(&self) -> String {
+        let motion = self.motion.map(|motion| format!(", {}", motion.as_str()));
+        format!("{}{}", self.state.as_str(), motion.unwrap_or_default())
+    }
+
+    /// The largest force on a tip, N.
+    pub fn max_force_n(&self) -> Option<f64> {
+        self.forces_n.iter().copied().flatten().reduce(f64::max)
+    }
+
+    /// Axes whose last stop is not acknowledged, or that move after it, each with its cause: of the latched e-stop,
+    /// otherwise of the last safe end.
+    pub fn not_stopped(&self) -> Vec<String> {
+        let safe_end = self.safe_end.iter().filter(|_| self.estop_stops.is_empty());
+        let of_safe_end = safe_end.flat_map(|end| &end.stops);
+        let moving = self.estop_stops.iter().chain(of_safe_end).filter(|stop| !stop.is_done());
+        let words = |stop: &AxisStop| {
+            format!("{} ({})", stop.axis, stop.error.as_deref().unwrap_or("no answer yet"))
+        };
+        moving.map(words).collect()
+    }
+
+    /// Whether every axis was read at rest after the latched e-stop.
+    pub fn stands(&self) -> bool {
+        !self.estop_stops.is_empty() && self.estop_stops.iter().all(|s| s.stood_ms.is_some())
+    }
+
+    /// Cause of the trip, as text.
+    pub fn trip_words(&self) -> String {
+        let words = |trip: &Trip| match (trip.kind, trip.detail.as_str()) {
+            (TripKind::Estop, "") => "e-stop".into(),
+            (TripKind::Estop, why) => format!("e-stop: {why}"),
+            (_, detail) => detail.to_owned(),
+        };
+        self.trip.as_ref().map_or_else(|| "for no stated reason".into(), words)
+    }
 }
 
 /// Motion on request, or for a run that resumes: not one of the steps of a run.
@@ -192,7 +231,7 @@ pub struct WireStatus {
 }
 
 /// Status of the active run.
-#[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct RunStatus {
     /// Id of the run (UUIDv7).
     pub uid: RunUid,
@@ -342,7 +381,20 @@ pub struct Eta {
 
 #[cfg(test)]
 mod tests {
+    use serde_json::{Value, json};
+
     use super::*;
+
+    #[test]
+    fn a_homing_is_shown_with_the_state_and_an_older_service_names_none() {
+        let mut rig = json!({ "name": "lab", "label": "virtual", "has_stage": true,
+            "state": "disarmed", "trip": null, "clock_rate": 1.0, "pose": null, "forces_n": [],
+            "stream": StreamStatus::default(), "wires": [], "estop_stops": [] });
+        let words = |rig: &Value| RigStatus::deserialize(rig).unwrap().state_words();
+        assert_eq!(words(&rig), "disarmed");
+        rig["motion"] = "homing".into();
+        assert_eq!(words(&rig), "disarmed, homing");
+    }
 
     #[test]
     fn a_confirmation_fits_only_what_it_states() {

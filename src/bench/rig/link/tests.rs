@@ -79,14 +79,9 @@ struct Rig {
     asked: mpsc::Receiver<Asked>,
 }
 
-fn rig(script: impl FnMut(usize, Asked) -> Act + Send + 'static) -> Rig {
-    patient_rig(TIMEOUT, script)
-}
-
-fn patient_rig(timeout: Duration, script: impl FnMut(usize, Asked) -> Act + Send + 'static) -> Rig {
+/// What opens a wire, and its ends at the device, one for each time that it is opened.
+fn opener() -> (Opener, mpsc::Receiver<DuplexStream>) {
     let (wires_in, wires) = mpsc::channel(4);
-    let (log, asked) = mpsc::channel(100);
-    tokio::spawn(serve(wires, script, log));
     let opener: Opener = Box::new(move || {
         let wires = wires_in.clone();
         Box::pin(async move {
@@ -95,6 +90,17 @@ fn patient_rig(timeout: Duration, script: impl FnMut(usize, Asked) -> Act + Send
             Ok(Box::new(ours) as Box<dyn Port>)
         })
     });
+    (opener, wires)
+}
+
+fn rig(script: impl FnMut(usize, Asked) -> Act + Send + 'static) -> Rig {
+    patient_rig(TIMEOUT, script)
+}
+
+fn patient_rig(timeout: Duration, script: impl FnMut(usize, Asked) -> Act + Send + 'static) -> Rig {
+    let (opener, wires) = opener();
+    let (log, asked) = mpsc::channel(100);
+    tokio::spawn(serve(wires, script, log));
     let policy = LinePolicy { timeout, attempts: 3, silence: Duration::ZERO, stop_grace: GRACE };
     let clock = Clock::new(1.0);
     let line = Arc::new(Line::spawn("wire", Framing::Tcp, "rig:502", opener, policy, clock));
@@ -387,15 +393,7 @@ const STOP: [u8; 8] = [1, 5, 0, 9, 0xFF, 0, 0x5C, 0x38];
 
 /// A serial line, and its ends at the device, one for each time that it is opened.
 fn serial(timeout: Duration) -> (Arc<Line>, mpsc::Receiver<DuplexStream>) {
-    let (wires_in, wires) = mpsc::channel(4);
-    let opener: Opener = Box::new(move || {
-        let wires = wires_in.clone();
-        Box::pin(async move {
-            let (ours, theirs) = tokio::io::duplex(1024);
-            wires.send(theirs).await.map_err(|_| std::io::ErrorKind::ConnectionRefused)?;
-            Ok(Box::new(ours) as Box<dyn Port>)
-        })
-    });
+    let (opener, wires) = opener();
     let policy = LinePolicy { timeout, attempts: 3, silence: Duration::ZERO, stop_grace: GRACE };
     let line = Line::spawn("wire", Framing::Rtu, "port", opener, policy, Clock::new(1.0));
     (Arc::new(line), wires)

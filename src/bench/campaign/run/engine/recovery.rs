@@ -295,14 +295,12 @@ mod tests {
 
     use super::super::tests::{engine, job, suspensions, trip, with_handle};
     use super::*;
-    use crate::campaign::bench::stand_in::StandIns;
     use crate::campaign::shown::command::Request;
 
     /// One attempt of an automatic resume while a device has been silent for this time, and a person holds the operator
     /// lock or not: whether further ones follow, and what the run waits for.
     async fn attempt(silent_since: Option<Duration>, is_locked: bool) -> (bool, Option<String>) {
-        let (axes, job) = (StandIns::default(), job());
-        let mut engine = engine(&axes);
+        let (job, (axes, mut engine)) = (job(), engine());
         trip(&mut engine, &job);
         axes.x.replies.store(false, Ordering::SeqCst);
         let since = jiff::Timestamp::now() + Duration::from_secs(1);
@@ -338,8 +336,7 @@ mod tests {
 
     #[tokio::test]
     async fn a_loss_of_power_between_two_automatic_resumes_waits_for_a_person() {
-        let (axes, job) = (StandIns::default(), job());
-        let mut engine = engine(&axes);
+        let (job, (axes, mut engine)) = (job(), engine());
         trip(&mut engine, &job);
         let mut resumes = 1;
         let mut automatic = Some(Automatic::new(&job, &mut resumes, None));
@@ -361,8 +358,7 @@ mod tests {
 
     #[tokio::test]
     async fn no_axis_is_homed_automatically_while_a_safe_end_is_not_complete() {
-        let (axes, job) = (StandIns::default(), job());
-        let mut engine = engine(&axes);
+        let (job, (axes, mut engine)) = (job(), engine());
         trip(&mut engine, &job);
         let mut resumes = 1;
         let mut automatic = Some(Automatic::new(&job, &mut resumes, None));
@@ -377,8 +373,7 @@ mod tests {
 
     #[tokio::test]
     async fn a_run_does_not_resume_by_itself_if_a_person_operates_the_rig_once_it_is_homed() {
-        let (axes, job) = (StandIns::default(), job());
-        let (mut engine, handle) = with_handle(&axes);
+        let (job, (_, mut engine, handle)) = (job(), with_handle());
         trip(&mut engine, &job);
         let mut resumes = 1;
         let mut automatic = Some(Automatic::new(&job, &mut resumes, None));
@@ -400,8 +395,7 @@ mod tests {
 
     #[tokio::test]
     async fn a_run_does_not_resume_by_itself_if_a_person_takes_the_lock_once_the_rig_is_homed() {
-        let (axes, job) = (StandIns::default(), job());
-        let (mut engine, handle) = with_handle(&axes);
+        let (job, (axes, mut engine, handle)) = (job(), with_handle());
         trip(&mut engine, &job);
         let mut resumes = 1;
         let mut automatic = Some(Automatic::new(&job, &mut resumes, None));
@@ -424,8 +418,7 @@ mod tests {
 
     #[tokio::test]
     async fn nothing_homes_by_itself_under_a_lock_that_was_taken_while_the_devices_were_read() {
-        let (axes, job) = (StandIns::default(), job());
-        let mut engine = engine(&axes);
+        let (job, (axes, mut engine)) = (job(), engine());
         trip(&mut engine, &job);
         let mut resumes = 1;
         let mut automatic = Some(Automatic::new(&job, &mut resumes, None));
@@ -443,8 +436,7 @@ mod tests {
 
     #[tokio::test]
     async fn a_run_does_not_resume_by_itself_after_the_computer_was_suspended() {
-        let (axes, job) = (StandIns::default(), job());
-        let mut engine = engine(&axes);
+        let (job, (axes, mut engine)) = (job(), engine());
         let suspended_s = suspensions(&mut engine);
         trip(&mut engine, &job);
         let mut resumes = 1;
@@ -460,8 +452,7 @@ mod tests {
 
     #[tokio::test]
     async fn a_lock_counts_although_the_clock_was_set_back_after_the_halt() {
-        let axes = StandIns::default();
-        let engine = engine(&axes);
+        let (axes, engine) = engine();
         let halted = Instant::now() - Duration::from_secs(60);
         let ahead = jiff::Timestamp::now() + Duration::from_secs(3600);
         let since = (ahead, halted);

@@ -13,7 +13,7 @@ use super::{Answer, Attempts, Engine, Next, OWED_AGAIN, Owed};
 use crate::campaign::bench::estop::StopSwitch;
 use crate::campaign::bench::interlock::{Trip, TripKind};
 use crate::campaign::bench::rig_state::{RigEvent, RigState};
-use crate::campaign::bench::stage::{AxisName, Height};
+use crate::campaign::bench::stage::{AxisName, Height, Stage};
 use crate::campaign::bench::stand_in::{StandIns, config};
 use crate::campaign::bench::travel::Target;
 use crate::campaign::diary::Diary;
@@ -39,13 +39,21 @@ mod pausing;
 mod pressing;
 mod sideways;
 
-/// An engine whose wires to these axes are open; the rig is disarmed.
-pub(super) fn engine(axes: &StandIns) -> Engine {
-    with_handle(axes).0
+/// An engine whose wires to the axes of stand-ins are open; the rig is disarmed.
+pub(super) fn engine() -> (StandIns, Engine) {
+    let (axes, engine, _) = with_handle();
+    (axes, engine)
 }
 
 /// As `engine`, with the handle for requests.
-pub(super) fn with_handle(axes: &StandIns) -> (Engine, Handle) {
+pub(super) fn with_handle() -> (StandIns, Engine, Handle) {
+    let axes = StandIns::default();
+    let (engine, handle) = on(&axes);
+    (axes, engine, handle)
+}
+
+/// As `with_handle`, on these axes.
+fn on(axes: &StandIns) -> (Engine, Handle) {
     let (setup, estop) = (RigSetup::from(config()), StopSwitch::default());
     let (handle, inbox) = channel(estop.clone(), show::closed(&setup));
     let journal: Arc<dyn Journal> = axes.journal.clone();
@@ -75,10 +83,21 @@ pub(super) fn job() -> Job {
     }
 }
 
-/// The run is paused after a trip of its wires, and the rig is tripped.
-pub(super) fn trip(engine: &mut Engine, job: &Job) {
+/// The stage and the control of an engine.
+fn parts(engine: &mut Engine) -> (&mut Stage, &mut Control) {
+    let stage = engine.connection.as_mut().and_then(|open| open.stage.as_mut());
+    (stage.expect("a stage"), &mut engine.control)
+}
+
+/// The run is active.
+fn begin(engine: &mut Engine, job: &Job) {
     engine.control.show(|status| status.run = Some(show::started(job)));
     engine.control.begin(job.run).unwrap();
+}
+
+/// The run is paused after a trip of its wires, and the rig is tripped.
+pub(super) fn trip(engine: &mut Engine, job: &Job) {
+    begin(engine, job);
     engine.control.latch(&Trip { kind: TripKind::Wire, detail: "no reply".into() });
     engine.control.run_event(RunEvent::Suspend(PausedWhy::Trip)).unwrap();
     engine.control.run_event(RunEvent::Raised).unwrap();
@@ -115,8 +134,7 @@ async fn stop(engine: &mut Engine) {
 
 #[tokio::test]
 async fn a_start_and_a_resume_whose_caller_was_told_that_they_failed_are_not_carried_out() {
-    let (axes, job) = (StandIns::default(), job());
-    let mut engine = engine(&axes);
+    let (job, (_, mut engine)) = (job(), engine());
     engine.control.rig_event(RigEvent::Homed).unwrap();
     assert_eq!(engine.arm(&job, &abandoned()).await, Err(Refusal::Gone));
     let states = |engine: &Engine| (engine.control.rig(), engine.control.run());
@@ -144,7 +162,7 @@ async fn no_run_begins_or_resumes_under_a_lock_that_was_taken_while_it_was_armed
         let Err(Refusal::Busy(words)) = answer else { return false };
         words.starts_with("nothing moves before the release of the operator lock (ada")
     };
-    let (mut started, handle) = with_handle(&axes);
+    let (mut started, handle) = on(&axes);
     started.control.rig_event(RigEvent::Homed).unwrap();
     lock(1);
     assert!(is_held(answered(&mut started, handle.ask(Request::Start(job.clone()))).await));
@@ -153,7 +171,7 @@ async fn no_run_begins_or_resumes_under_a_lock_that_was_taken_while_it_was_armed
     lock(-1);
     assert_eq!(answered(&mut started, handle.ask(Request::Start(job.clone()))).await, Ok(()));
 
-    let mut paused = engine(&axes);
+    let (mut paused, _) = on(&axes);
     trip(&mut paused, &job);
     paused.control.rig_event(RigEvent::Reset).unwrap();
     paused.control.rig_event(RigEvent::Homed).unwrap();
@@ -168,8 +186,7 @@ async fn no_run_begins_or_resumes_under_a_lock_that_was_taken_while_it_was_armed
 
 #[tokio::test]
 async fn a_drive_that_cannot_move_as_slowly_as_it_must_is_not_armed() {
-    let (axes, job) = (StandIns::default(), job());
-    let mut engine = engine(&axes);
+    let (job, (axes, mut engine)) = (job(), engine());
     engine.control.rig_event(RigEvent::Homed).unwrap();
     let (waited_for, _caller) = oneshot::channel();
     *axes.z.slowest.lock() = 5.0;
@@ -186,11 +203,9 @@ async fn a_drive_that_cannot_move_as_slowly_as_it_must_is_not_armed() {
 
 #[tokio::test]
 async fn a_confirmation_whose_caller_was_told_that_it_failed_resumes_nothing() {
-    let (axes, job) = (StandIns::default(), job());
-    let mut engine = engine(&axes);
+    let (job, (_, mut engine)) = (job(), engine());
     engine.control.rig_event(RigEvent::Homed).unwrap();
-    engine.control.show(|status| status.run = Some(show::started(&job)));
-    engine.control.begin(job.run).unwrap();
+    begin(&mut engine, &job);
     engine.control.run_event(RunEvent::Need(PausedWhy::TipChange)).unwrap();
     engine.control.run_event(RunEvent::Raised).unwrap();
     engine.control.show_run(|run| run.wanted = Some(Wanted::Tips { tips: 1 }));
@@ -205,8 +220,7 @@ async fn a_confirmation_whose_caller_was_told_that_it_failed_resumes_nothing() {
 
 #[tokio::test]
 async fn a_reset_whose_caller_was_told_that_it_failed_releases_no_stop() {
-    let axes = StandIns::default();
-    let mut engine = engine(&axes);
+    let (_, mut engine) = engine();
     stop(&mut engine).await;
     let presses = engine.control.estop.presses();
     assert_eq!(engine.reset(presses, Some(&abandoned())).await, Err(Refusal::Gone));
@@ -218,13 +232,12 @@ async fn a_reset_whose_caller_was_told_that_it_failed_releases_no_stop() {
 
 #[tokio::test]
 async fn after_a_suspension_of_the_computer_nothing_moves_before_a_person_resets() {
-    let (axes, mut job) = (StandIns::default(), job());
-    let mut engine = engine(&axes);
+    let (mut job, (axes, mut engine)) = (job(), engine());
     let suspended_s = suspensions(&mut engine);
     engine.control.rig_event(RigEvent::Homed).unwrap();
     suspended_s.store(60, Ordering::SeqCst);
-    let stage = engine.connection.as_mut().unwrap().stage.as_mut().unwrap();
-    let moved = stage.travel(&mut engine.control, &[Target::of(AxisName::X, 100.0)]).await;
+    let (stage, control) = parts(&mut engine);
+    let moved = stage.travel(control, &[Target::of(AxisName::X, 100.0)]).await;
     let halt = moved.unwrap_err();
     let trip = halt.as_trip().expect("a trip");
     assert_eq!(trip.kind, TripKind::Service);
@@ -249,8 +262,7 @@ async fn after_a_suspension_of_the_computer_nothing_moves_before_a_person_resets
 
 #[tokio::test]
 async fn neither_a_reset_nor_closing_the_wires_is_possible_while_an_axis_moves_after_its_stop() {
-    let axes = StandIns::default();
-    let mut engine = engine(&axes);
+    let (axes, mut engine) = engine();
     axes.x.status.lock().moving = true;
     stop(&mut engine).await;
     let presses = engine.control.estop.presses();
@@ -300,8 +312,7 @@ async fn an_e_stop_while_the_wires_are_opened_leaves_them_open_for_the_stops_and
 
 #[tokio::test]
 async fn after_an_e_stop_a_reset_raises_no_tips_by_itself() {
-    let axes = StandIns::default();
-    let mut engine = engine(&axes);
+    let (axes, mut engine) = engine();
     axes.z.status.lock().position = 60.0;
     // The safe end before had no wires to raise them.
     engine.owed = Owed::Wires(Instant::now(), Height::Clear);
@@ -329,10 +340,8 @@ async fn an_end_brings_a_person_to_the_rig_unless_the_run_was_stopped_as_it_move
         (Some(RunEvent::Stop), Halt::Checkpoint, ExitStatus::Stopped, false),
         (Some(RunEvent::Abort), Halt::Asked, ExitStatus::Abort, true),
     ] {
-        let axes = StandIns::default();
-        let mut engine = engine(&axes);
-        engine.control.show(|status| status.run = Some(show::started(&job)));
-        engine.control.begin(job.run).unwrap();
+        let (_, mut engine) = engine();
+        begin(&mut engine, &job);
         if let Some(event) = request {
             engine.control.run_event(event).unwrap();
         }
@@ -347,10 +356,8 @@ async fn an_end_brings_a_person_to_the_rig_unless_the_run_was_stopped_as_it_move
 
 #[tokio::test]
 async fn the_status_counts_the_failed_attempts_that_are_stored() {
-    let (axes, job) = (StandIns::default(), job());
-    let mut engine = engine(&axes);
-    engine.control.show(|status| status.run = Some(show::started(&job)));
-    engine.control.begin(job.run).unwrap();
+    let (job, (_, mut engine)) = (job(), engine());
+    begin(&mut engine, &job);
     let at = Some(TrialKey { configuration: 0, depth_index: 1 });
     // A touch-off is not an attempt at a trial.
     for (trial, retries) in [(None, 0), (at, 1)] {
@@ -365,13 +372,12 @@ async fn the_status_counts_the_failed_attempts_that_are_stored() {
 
 #[tokio::test]
 async fn an_abort_of_a_jog_and_each_trip_for_a_person_hold_the_queue() {
-    let (axes, job) = (StandIns::default(), job());
-    let (mut engine, handle) = with_handle(&axes);
+    let (job, (axes, mut engine, handle)) = (job(), with_handle());
     // It moves until it is stopped.
     *axes.x.after_start.lock() = Some(AxisStatus { moving: true, ..axes.x.present() });
-    let stage = engine.connection.as_mut().unwrap().stage.as_mut().unwrap();
+    let (stage, control) = parts(&mut engine);
     let target = [Target::of(AxisName::X, 100.0)];
-    let travel = stage.travel(&mut engine.control, &target);
+    let travel = stage.travel(control, &target);
     let abort = async {
         tokio::time::sleep(Duration::from_millis(30)).await;
         handle.ask(Request::AbortMotion).await
@@ -394,9 +400,8 @@ async fn an_abort_of_a_jog_and_each_trip_for_a_person_hold_the_queue() {
 #[tokio::test]
 async fn an_abort_of_a_motion_that_arrives_once_a_run_has_begun_aborts_that_run() {
     let job = job();
-    let (mut engine, handle) = with_handle(&StandIns::default());
-    engine.control.show(|status| status.run = Some(show::started(&job)));
-    engine.control.begin(job.run).unwrap();
+    let (_, mut engine, handle) = with_handle();
+    begin(&mut engine, &job);
     let moves = async {
         tokio::task::yield_now().await;
         engine.control.attend()
@@ -417,8 +422,7 @@ async fn answered<T>(engine: &mut Engine, asked: impl Future<Output = T>) -> T {
 
 #[tokio::test]
 async fn no_run_begins_if_the_run_before_it_was_aborted_as_it_ended() {
-    let (axes, job) = (StandIns::default(), Arc::new(job()));
-    let (mut engine, handle) = with_handle(&axes);
+    let (job, (_, mut engine, handle)) = (Arc::new(job()), with_handle());
     engine.control.rig_event(RigEvent::Homed).unwrap();
     // The abort waited until the run had ended, and the next one was requested before it was taken up.
     let start = || handle.ask(Request::Start(job.clone()));
@@ -432,8 +436,7 @@ async fn no_run_begins_if_the_run_before_it_was_aborted_as_it_ended() {
 
 #[tokio::test]
 async fn no_run_begins_if_a_pause_or_an_abort_came_after_the_end_of_the_run_before_it() {
-    let (axes, job) = (StandIns::default(), Arc::new(job()));
-    let (mut engine, handle) = with_handle(&axes);
+    let (job, (_, mut engine, handle)) = (Arc::new(job()), with_handle());
     engine.control.rig_event(RigEvent::Homed).unwrap();
     let start = handle.ask(Request::Start(job.clone()));
     let both = async { tokio::join!(handle.ask(Request::CameLate), start) };
@@ -441,8 +444,7 @@ async fn no_run_begins_if_a_pause_or_an_abort_came_after_the_end_of_the_run_befo
     assert_eq!((noted, signs(&engine)), (Ok(()), 1));
     assert!(matches!(started, Err(Refusal::Busy(_))), "{started:?}");
     // One that has begun before it continues; what waits for its end is dropped.
-    engine.control.show(|status| status.run = Some(show::started(&job)));
-    engine.control.begin(job.run).unwrap();
+    begin(&mut engine, &job);
     let moves = async {
         tokio::task::yield_now().await;
         engine.control.attend()
@@ -454,7 +456,7 @@ async fn no_run_begins_if_a_pause_or_an_abort_came_after_the_end_of_the_run_befo
 
 #[tokio::test]
 async fn an_entry_of_tips_whose_caller_was_told_that_it_failed_is_not_carried_out() {
-    let mut engine = engine(&StandIns::default());
+    let (_, mut engine) = engine();
     let (answer, caller) = oneshot::channel();
     drop(caller);
     assert_eq!(engine.mounted(1, "ada", &answer).await, Err(Refusal::Gone));

@@ -7,7 +7,7 @@ use std::time::Duration;
 use super::{answered, signs, suspensions, with_handle};
 use crate::campaign::bench::interlock::TripKind;
 use crate::campaign::bench::rig_state::RigState;
-use crate::campaign::bench::stand_in::{StandIn, StandIns};
+use crate::campaign::bench::stand_in::StandIn;
 use crate::campaign::run::halt::Halt;
 use crate::campaign::safe_end::raise_as_planned;
 use crate::campaign::shown::command::{Refusal, Request};
@@ -16,8 +16,7 @@ use crate::rig::traits::AxisStatus;
 
 #[tokio::test]
 async fn a_homing_and_a_jog_are_shown_until_they_end() {
-    let axes = StandIns::default();
-    let (mut engine, handle) = with_handle(&axes);
+    let (axes, mut engine, handle) = with_handle();
     let mut status = handle.watch_status();
     let home = async {
         handle.ask(Request::Home).await.unwrap();
@@ -45,8 +44,7 @@ async fn a_homing_and_a_jog_are_shown_until_they_end() {
 
 #[tokio::test]
 async fn an_abort_during_a_raise_is_accepted_at_once_and_ends_the_motion_once_z_is_up() {
-    let axes = StandIns::default();
-    let (mut engine, handle) = with_handle(&axes);
+    let (axes, mut engine, handle) = with_handle();
     assert!(engine.home().await);
     let starts = |axis: &StandIn| axis.starts.load(Ordering::SeqCst);
     let (x_starts, z_starts) = (starts(&axes.x), starts(&axes.z));
@@ -75,8 +73,7 @@ async fn an_abort_during_a_raise_is_accepted_at_once_and_ends_the_motion_once_z_
 
 #[tokio::test]
 async fn a_raise_that_fails_after_an_abort_is_not_repeated_before_the_safe_end() {
-    let axes = StandIns::default();
-    let (mut engine, handle) = with_handle(&axes);
+    let (axes, mut engine, handle) = with_handle();
     let starts = || axes.z.starts.load(Ordering::SeqCst);
     // It moves until it reports an alarm.
     let down = AxisStatus { position: 60.0, ..axes.z.present() };
@@ -99,7 +96,7 @@ async fn a_raise_that_fails_after_an_abort_is_not_repeated_before_the_safe_end()
 
 #[tokio::test]
 async fn a_suspension_of_the_computer_during_a_raise_trips_although_a_request_came_before() {
-    let (mut engine, handle) = with_handle(&StandIns::default());
+    let (_, mut engine, handle) = with_handle();
     let suspended_s = suspensions(&mut engine);
     let raise = async {
         let aborted = handle.ask(Request::AbortMotion).await;
@@ -115,7 +112,7 @@ async fn a_suspension_of_the_computer_during_a_raise_trips_although_a_request_ca
 
 #[tokio::test]
 async fn an_abort_while_nothing_moves_holds_the_queue_only_if_a_motion_has_just_ended() {
-    let (mut engine, handle) = with_handle(&StandIns::default());
+    let (_, mut engine, handle) = with_handle();
     let refused = Err(Refusal::State("abort is not possible: nothing moves".into()));
     let abort = || handle.ask(Request::AbortMotion);
     assert_eq!((answered(&mut engine, abort()).await, signs(&engine)), (refused.clone(), 0));

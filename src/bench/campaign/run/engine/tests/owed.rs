@@ -7,22 +7,19 @@ use tokio::sync::oneshot;
 use tokio::time::Instant;
 
 use super::super::{Attempts, Engine, Next, OWED_AGAIN, Owed};
-use super::{answered, engine, job, signs, with_handle};
+use super::{answered, begin, engine, job, signs, with_handle};
 use crate::campaign::bench::rig_state::{RigEvent, RigState};
 use crate::campaign::bench::stage::Height;
-use crate::campaign::bench::stand_in::StandIns;
 use crate::campaign::run::eta::Pace;
 use crate::campaign::run::halt::Halt;
 use crate::campaign::run::run_state::{PausedWhy, RunState};
 use crate::campaign::shown::command::{Refusal, Request};
-use crate::campaign::shown::show;
 use crate::campaign::shown::status::{Status, Wanted};
 use crate::schedule::plan::Kind;
 
 #[tokio::test]
 async fn no_run_is_armed_while_an_axis_owes_the_acknowledgement_of_its_stop() {
-    let (axes, mut job) = (StandIns::default(), job());
-    let mut engine = engine(&axes);
+    let (mut job, (axes, mut engine)) = (job(), engine());
     engine.control.rig_event(RigEvent::Homed).unwrap();
     axes.x.replies.store(false, Ordering::SeqCst);
     assert!(engine.make_safe(None, Height::Clear).await, "the tips are up");
@@ -42,8 +39,7 @@ async fn no_run_is_armed_while_an_axis_owes_the_acknowledgement_of_its_stop() {
 
 #[tokio::test]
 async fn nothing_moves_on_request_while_an_axis_owes_the_acknowledgement_of_its_stop() {
-    let axes = StandIns::default();
-    let (mut engine, handle) = with_handle(&axes);
+    let (axes, mut engine, handle) = with_handle();
     engine.control.rig_event(RigEvent::Homed).unwrap();
     axes.x.replies.store(false, Ordering::SeqCst);
     assert!(engine.make_safe(None, Height::Clear).await, "the tips are up");
@@ -59,8 +55,7 @@ async fn nothing_moves_on_request_while_an_axis_owes_the_acknowledgement_of_its_
 
 #[tokio::test]
 async fn nothing_moves_under_a_lock_that_was_taken_while_the_safe_end_was_completed_first() {
-    let axes = StandIns::default();
-    let (mut engine, handle) = with_handle(&axes);
+    let (axes, mut engine, handle) = with_handle();
     engine.control.rig_event(RigEvent::Homed).unwrap();
     // Only the request completes it.
     engine.owed_pause = Duration::from_secs(3600);
@@ -87,8 +82,7 @@ async fn nothing_moves_under_a_lock_that_was_taken_while_the_safe_end_was_comple
 
 #[tokio::test]
 async fn nothing_moves_under_a_lock_that_was_taken_while_the_request_waited() {
-    let axes = StandIns::default();
-    let (mut engine, handle) = with_handle(&axes);
+    let (axes, mut engine, handle) = with_handle();
     engine.control.rig_event(RigEvent::Homed).unwrap();
     let earlier = |s: i64| jiff::Timestamp::now() - jiff::SignedDuration::from_secs(s);
     *axes.journal.locked_at.lock() = Some(earlier(1));
@@ -108,8 +102,7 @@ async fn nothing_moves_under_a_lock_that_was_taken_while_the_request_waited() {
 
 #[tokio::test]
 async fn a_safe_end_is_not_complete_while_an_axis_moves_after_its_stop() {
-    let (axes, job) = (StandIns::default(), job());
-    let mut engine = engine(&axes);
+    let (job, (axes, mut engine)) = (job(), engine());
     engine.control.rig_event(RigEvent::Homed).unwrap();
     axes.y.status.lock().moving = true;
     assert!(engine.make_safe(None, Height::Clear).await, "the tips are up");
@@ -131,8 +124,7 @@ async fn a_safe_end_is_not_complete_while_an_axis_moves_after_its_stop() {
 
 #[tokio::test]
 async fn a_safe_end_is_repeated_later_each_time_and_stored_again_only_if_it_ends_otherwise() {
-    let axes = StandIns::default();
-    let mut engine = engine(&axes);
+    let (axes, mut engine) = engine();
     axes.y.status.lock().moving = true;
     assert!(engine.make_safe(None, Height::Clear).await, "the tips are up");
     assert_eq!(engine.owed_pause, OWED_AGAIN);
@@ -152,10 +144,8 @@ async fn a_safe_end_is_repeated_later_each_time_and_stored_again_only_if_it_ends
 
 #[tokio::test]
 async fn a_failed_attempt_is_not_repeated_before_each_axis_stands() {
-    let (axes, job) = (StandIns::default(), job());
-    let mut engine = engine(&axes);
-    engine.control.show(|status| status.run = Some(show::started(&job)));
-    engine.control.begin(job.run).unwrap();
+    let (job, (axes, mut engine)) = (job(), engine());
+    begin(&mut engine, &job);
     axes.y.status.lock().moving = true;
     let (failed, mut attempts) = (Halt::Failed("no frames".into()), Attempts::default());
     assert!(matches!(engine.decide(&job, failed, &mut attempts, &mut 0).await, Next::Again));
@@ -180,12 +170,10 @@ async fn hands_are_called_to_raised_tips_only_if_each_axis_stands_and_no_cell_re
         // z repeats where it was.
         (false, 1.0, PausedWhy::Trip),
     ] {
-        let axes = StandIns::default();
-        let mut engine = engine(&axes);
+        let (axes, mut engine) = engine();
         engine.stage_mut().unwrap().tips = 1;
         axes.cells.volts.lock()[0] = volts;
-        engine.control.show(|status| status.run = Some(show::started(&job)));
-        engine.control.begin(job.run).unwrap();
+        begin(&mut engine, &job);
         axes.radial.status.lock().moving = is_moving;
         let (wanted, mut attempts) = (Halt::Needs(Wanted::Tips { tips: 1 }), Attempts::default());
         // Without a handle there is no request to wait for.
@@ -200,10 +188,8 @@ async fn hands_are_called_to_raised_tips_only_if_each_axis_stands_and_no_cell_re
 
 #[tokio::test]
 async fn a_suspension_while_the_cells_are_asked_before_a_tip_change_states_its_reason() {
-    let (axes, job) = (StandIns::default(), job());
-    let (mut engine, handle) = with_handle(&axes);
-    engine.control.show(|status| status.run = Some(show::started(&job)));
-    engine.control.begin(job.run).unwrap();
+    let (job, (axes, mut engine, handle)) = (job(), with_handle());
+    begin(&mut engine, &job);
     *axes.cells.takes.lock() = Duration::from_millis(300);
     let request = Request::Suspend(job.run, "a full disk".into());
     let suspend = async move { handle.ask(request).await };

@@ -6,14 +6,12 @@ use std::time::Duration;
 use jiff::Timestamp;
 
 use super::super::{Attempts, Next};
-use super::{engine, job, trip, with_handle};
-use crate::campaign::bench::stand_in::StandIns;
+use super::{begin, engine, job, parts, trip, with_handle};
 use crate::campaign::bench::touch_off::touch_off;
 use crate::campaign::run::eta::Pace;
 use crate::campaign::run::halt::Halt;
 use crate::campaign::run::run_state::{PausedWhy, RunEvent, RunState};
 use crate::campaign::shown::command::{Refusal, Request};
-use crate::campaign::shown::show;
 use crate::campaign::shown::status::{Motion, Status, Wanted};
 use crate::campaign::trial::press::Pressing;
 use crate::ids::RunUid;
@@ -24,12 +22,10 @@ use crate::schedule::plan::Step;
 async fn a_pause_or_a_stop_that_is_requested_before_a_press_waits_for_no_press() {
     let job = job();
     for request in [RunEvent::PauseAtCheckpoint, RunEvent::Stop] {
-        let axes = StandIns::default();
-        let mut engine = engine(&axes);
-        engine.control.show(|status| status.run = Some(show::started(&job)));
-        engine.control.begin(job.run).unwrap();
+        let (axes, mut engine) = engine();
+        begin(&mut engine, &job);
         engine.control.run_event(request).unwrap();
-        let stage = engine.connection.as_mut().unwrap().stage.as_mut().unwrap();
+        let (stage, control) = parts(&mut engine);
         stage.tips = 1;
         stage.surface = Some(TouchOffRecord {
             tips: 1,
@@ -42,11 +38,9 @@ async fn a_pause_or_a_stop_that_is_requested_before_a_press_waits_for_no_press()
         let mut presses = 0;
         for step in &job.plan.steps {
             let halted = match step {
-                Step::Reference(press) => {
-                    pressing.reference(stage, &mut engine.control, press).await
-                }
+                Step::Reference(press) => pressing.reference(stage, control, press).await,
                 Step::Configuration(c) => {
-                    pressing.configuration(stage, &mut engine.control, c, &[0, 1]).await.map(drop)
+                    pressing.configuration(stage, control, c, &[0, 1]).await.map(drop)
                 }
                 Step::TipChange { .. } | Step::TouchOff { .. } | Step::Manual(_) => continue,
             };
@@ -63,9 +57,8 @@ async fn a_pause_or_a_stop_that_is_requested_before_a_press_waits_for_no_press()
 async fn the_attempt_after_a_failed_one_is_late_and_a_pause_or_a_stop_meanwhile_is_not() {
     let job = job();
     for request in [None, Some(Request::PauseAtCheckpoint), Some(Request::Stop)] {
-        let (mut engine, handle) = with_handle(&StandIns::default());
-        engine.control.show(|status| status.run = Some(show::started(&job)));
-        engine.control.begin(job.run).unwrap();
+        let (_, mut engine, handle) = with_handle();
+        begin(&mut engine, &job);
         let failed = Halt::Failed("cell 1 varies by 3.00 N in the air".into());
         let (mut attempts, mut pace) = (Attempts::default(), Pace::predicted(1.0));
         let next = engine.decide(&job, failed, &mut attempts, &mut 0).await;
@@ -87,10 +80,8 @@ async fn the_attempt_after_a_failed_one_is_late_and_a_pause_or_a_stop_meanwhile_
 
 #[tokio::test]
 async fn a_run_that_is_resumed_after_a_pause_waits_for_no_failed_attempt_before_it() {
-    let (axes, job) = (StandIns::default(), job());
-    let mut engine = engine(&axes);
-    engine.control.show(|status| status.run = Some(show::started(&job)));
-    engine.control.begin(job.run).unwrap();
+    let (job, (_, mut engine)) = (job(), engine());
+    begin(&mut engine, &job);
     // The pause was requested before the safe end of the attempt was complete.
     let mut attempts = Attempts { has_failed: true, ..Attempts::default() };
     engine.control.run_event(RunEvent::PauseNow).unwrap();
@@ -108,8 +99,7 @@ async fn a_run_that_is_resumed_after_a_pause_waits_for_no_failed_attempt_before_
 
 /// What a run that waits after a trip shows, and the state that it reaches, once it is suspended for this reason.
 async fn suspended_while_it_waits(why: &str) -> (Option<String>, RunState) {
-    let (axes, job) = (StandIns::default(), job());
-    let (mut engine, handle) = with_handle(&axes);
+    let (job, (_, mut engine, handle)) = (job(), with_handle());
     trip(&mut engine, &job);
     let request = Request::Suspend(job.run, why.to_owned());
     // Without a handle there is no request to wait for.
@@ -132,9 +122,8 @@ async fn a_suspension_of_a_run_that_waits_states_its_reason() {
 
 #[tokio::test]
 async fn a_suspension_while_the_rig_homes_for_an_automatic_resume_states_its_reason() {
-    let (axes, mut job) = (StandIns::default(), job());
+    let (mut job, (_, mut engine, handle)) = (job(), with_handle());
     job.plan.policy.auto_resume_after_s = 0.0;
-    let (mut engine, handle) = with_handle(&axes);
     trip(&mut engine, &job);
     let request = Request::Suspend(job.run, "a full disk".into());
     let suspends = async move {
@@ -156,22 +145,18 @@ async fn a_suspension_while_the_rig_homes_for_an_automatic_resume_states_its_rea
 
 #[tokio::test]
 async fn the_reason_of_a_suspension_is_not_that_of_the_next_run() {
-    let (axes, job) = (StandIns::default(), job());
-    let mut engine = engine(&axes);
+    let (job, (_, mut engine)) = (job(), engine());
     // The twins are behind: the run has ended.
     let late = Request::Suspend(RunUid::new(), "the model does not fit the skin".into());
     engine.control.run_request(&late);
-    engine.control.show(|status| status.run = Some(show::started(&job)));
-    engine.control.begin(job.run).unwrap();
+    begin(&mut engine, &job);
     assert_eq!(engine.control.take_suspended_for(), None);
 }
 
 #[tokio::test]
 async fn the_reason_of_a_suspension_that_was_refused_or_is_over_is_not_that_of_a_later_halt() {
-    let (axes, job) = (StandIns::default(), job());
-    let mut engine = engine(&axes);
-    engine.control.show(|status| status.run = Some(show::started(&job)));
-    engine.control.begin(job.run).unwrap();
+    let (job, (_, mut engine)) = (job(), engine());
+    begin(&mut engine, &job);
     let suspend = Request::Suspend(job.run, "the model does not fit the skin".into());
     // A panicked run refuses it.
     engine.control.run_event(RunEvent::RaiseFailed).unwrap();
@@ -186,10 +171,8 @@ async fn the_reason_of_a_suspension_that_was_refused_or_is_over_is_not_that_of_a
 
 #[tokio::test]
 async fn a_suspension_of_a_run_that_has_ended_does_not_halt_the_next_one() {
-    let (axes, job) = (StandIns::default(), job());
-    let (mut engine, handle) = with_handle(&axes);
-    engine.control.show(|status| status.run = Some(show::started(&job)));
-    engine.control.begin(job.run).unwrap();
+    let (job, (_, mut engine, handle)) = (job(), with_handle());
+    begin(&mut engine, &job);
     let late = Request::Suspend(RunUid::new(), "the model does not fit the skin".into());
     let moves = async {
         tokio::task::yield_now().await;
@@ -205,19 +188,17 @@ async fn a_suspension_of_a_run_that_has_ended_does_not_halt_the_next_one() {
 
 #[tokio::test]
 async fn a_pause_that_is_requested_in_a_touch_off_waits_for_no_further_place() {
-    let (axes, job) = (StandIns::default(), job());
-    let mut engine = engine(&axes);
-    engine.control.show(|status| status.run = Some(show::started(&job)));
-    engine.control.begin(job.run).unwrap();
+    let (job, (axes, mut engine)) = (job(), engine());
+    begin(&mut engine, &job);
     engine.control.run_event(RunEvent::PauseAtCheckpoint).unwrap();
-    let stage = engine.connection.as_mut().unwrap().stage.as_mut().unwrap();
+    let (stage, control) = parts(&mut engine);
     stage.tips = 1;
     let places = job.plan.steps.iter().find_map(|step| match step {
         Step::TouchOff { places, .. } => Some(places),
         _ => None,
     });
     let places = places.expect("a touch-off");
-    let found = touch_off(stage, &mut engine.control, places, 1, Timestamp::UNIX_EPOCH).await;
+    let found = touch_off(stage, control, places, 1, Timestamp::UNIX_EPOCH).await;
     assert!(matches!(found, Err(Halt::Checkpoint)), "{found:?}");
     assert_eq!(axes.z.present().position, 0.0);
 }

@@ -3,13 +3,17 @@
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 
-use super::{engine, job};
+use parking_lot::Mutex;
+
+use super::super::Engine;
+use super::{engine, job, parts};
 use crate::campaign::bench::descent::Descent;
 use crate::campaign::bench::interlock::TripKind;
-use crate::campaign::bench::stage::AxisName;
+use crate::campaign::bench::stage::{AxisName, Stage};
 use crate::campaign::bench::stand_in::StandIns;
 use crate::campaign::bench::touch_off;
 use crate::campaign::bench::travel::{Target, predicted_s};
+use crate::campaign::run::control::Control;
 use crate::rig::traits::AxisStatus;
 use crate::schedule::plan::Step;
 
@@ -23,60 +27,72 @@ async fn stopped(axes: &StandIns, stops: u64) {
     }
 }
 
+/// The stage and the control of an engine whose samples do not count as stale within a test.
+fn patient(engine: &mut Engine) -> (&mut Stage, &mut Control) {
+    let (stage, control) = parts(engine);
+    stage.config.limits.sample_age_ms = Some(60_000);
+    (stage, control)
+}
+
+/// What z reports once its next motion was started: it moves until it is stopped.
+fn moves_until_stopped(axes: &StandIns) -> AxisStatus {
+    let moving = AxisStatus { position: 5.0, moving: true, ..axes.z.present() };
+    *axes.z.after_start.lock() = Some(moving);
+    moving
+}
+
+/// The speeds, mm/s, of a press before and after its stop. A reply takes this time until then.
+async fn late_press(time: Duration, takes: impl Fn(&StandIns) -> &Mutex<Duration>) -> [f64; 2] {
+    let (axes, mut engine) = engine();
+    let (stage, control) = patient(&mut engine);
+    moves_until_stopped(&axes);
+    *takes(&axes).lock() = time;
+    let press = stage.press_to(control, 10.0);
+    let late = async {
+        stopped(&axes, 1).await;
+        let fast_mm_s = *axes.z.speed.lock();
+        *takes(&axes).lock() = Duration::ZERO;
+        axes.z.status.lock().moving = false;
+        fast_mm_s
+    };
+    let (pressed, late) = tokio::join!(press, tokio::time::timeout(HAPPENS_WITHIN, late));
+    let fast_mm_s = late.expect("z is stopped while the reply is awaited");
+    assert!(pressed.is_ok() && axes.z.present().position == 10.0, "{pressed:?}");
+    assert_eq!([&axes.z.starts, &axes.z.stops].map(|n| n.load(Ordering::SeqCst)), [2, 1]);
+    let slow_mm_s = *axes.z.speed.lock();
+    [fast_mm_s, slow_mm_s]
+}
+
 #[tokio::test]
 async fn a_press_is_slower_once_the_wires_are_although_its_speed_was_chosen_before() {
-    let axes = StandIns::default();
-    let mut engine = engine(&axes);
-    let stage = engine.connection.as_mut().unwrap().stage.as_mut().unwrap();
+    let (axes, mut engine) = engine();
+    let (stage, control) = parts(&mut engine);
     let descent = Descent { z_mm: 10.0, speed_mm_s: 3.0 };
-    stage.press_until(&mut engine.control, descent, |_| false).await.unwrap();
+    stage.press_until(control, descent, |_| false).await.unwrap();
     assert_eq!(*axes.z.speed.lock(), 3.0);
     stage.stopping.note_poll(1.0);
     let deeper = Descent { z_mm: 20.0, ..descent };
-    stage.press_until(&mut engine.control, deeper, |_| false).await.unwrap();
+    stage.press_until(control, deeper, |_| false).await.unwrap();
     let slower_mm_s = *axes.z.speed.lock();
     assert!(slower_mm_s < 0.5, "{slower_mm_s}");
 }
 
 #[tokio::test]
 async fn a_press_whose_sample_is_late_is_stopped_and_continues_more_slowly() {
-    let axes = StandIns::default();
-    let mut engine = engine(&axes);
-    let stage = engine.connection.as_mut().unwrap().stage.as_mut().unwrap();
-    stage.config.limits.sample_age_ms = Some(60_000);
-    // It moves until it is stopped.
-    let moving = AxisStatus { position: 5.0, moving: true, ..axes.z.present() };
-    *axes.z.after_start.lock() = Some(moving);
     // Also before it starts, where nothing is late.
-    *axes.cells.takes.lock() = Duration::from_secs(1);
-    let press = stage.press_to(&mut engine.control, 10.0);
-    let late = async {
-        stopped(&axes, 1).await;
-        let fast_mm_s = *axes.z.speed.lock();
-        *axes.cells.takes.lock() = Duration::ZERO;
-        axes.z.status.lock().moving = false;
-        fast_mm_s
-    };
-    let (pressed, late) = tokio::join!(press, tokio::time::timeout(HAPPENS_WITHIN, late));
-    let fast_mm_s = late.expect("z is stopped while the sample is awaited");
-    assert!(pressed.is_ok() && axes.z.present().position == 10.0, "{pressed:?}");
-    assert_eq!([&axes.z.starts, &axes.z.stops].map(|n| n.load(Ordering::SeqCst)), [2, 1]);
-    let slow_mm_s = *axes.z.speed.lock();
-    assert!(slow_mm_s < fast_mm_s / 2.0, "{slow_mm_s} mm/s after {fast_mm_s} mm/s");
+    let [fast, slow] = late_press(Duration::from_secs(1), |axes| &axes.cells.takes).await;
+    assert!(slow < fast / 2.0, "{slow} mm/s after {fast} mm/s");
 }
 
 #[tokio::test]
 async fn a_press_that_was_late_does_not_continue_if_the_sample_at_rest_meets_its_condition() {
-    let axes = StandIns::default();
-    let mut engine = engine(&axes);
-    let stage = engine.connection.as_mut().unwrap().stage.as_mut().unwrap();
-    stage.config.limits.sample_age_ms = Some(60_000);
-    let moving = AxisStatus { position: 5.0, moving: true, ..axes.z.present() };
-    *axes.z.after_start.lock() = Some(moving);
+    let (axes, mut engine) = engine();
+    let (stage, control) = patient(&mut engine);
+    let moving = moves_until_stopped(&axes);
     *axes.cells.takes.lock() = Duration::from_secs(1);
     let descent = Descent { z_mm: 10.0, speed_mm_s: 3.0 };
     let mut sampled_mm = Vec::new();
-    let press = stage.press_until(&mut engine.control, descent, |sample| {
+    let press = stage.press_until(control, descent, |sample| {
         sampled_mm.push(sample.z_mm);
         sample.z_mm == 5.5
     });
@@ -93,14 +109,10 @@ async fn a_press_that_was_late_does_not_continue_if_the_sample_at_rest_meets_its
 
 #[tokio::test]
 async fn a_press_ends_only_once_two_readings_show_z_at_rest() {
-    let axes = StandIns::default();
-    let mut engine = engine(&axes);
-    let stage = engine.connection.as_mut().unwrap().stage.as_mut().unwrap();
-    stage.config.limits.sample_age_ms = Some(60_000);
-    let moving = AxisStatus { position: 5.0, moving: true, ..axes.z.present() };
-    *axes.z.after_start.lock() = Some(moving);
+    let (axes, mut engine) = engine();
+    let (stage, control) = patient(&mut engine);
+    let moving = moves_until_stopped(&axes);
     let descent = Descent { z_mm: 10.0, speed_mm_s: 3.0 };
-    let control = &mut engine.control;
     let press = async {
         let pressed = stage.press_until(control, descent, |_| true).await;
         (pressed, axes.z.present().position)
@@ -122,15 +134,12 @@ async fn a_press_ends_only_once_two_readings_show_z_at_rest() {
 
 #[tokio::test]
 async fn a_press_whose_samples_are_late_at_the_slowest_motion_of_the_drive_trips() {
-    let axes = StandIns::default();
-    let mut engine = engine(&axes);
-    let stage = engine.connection.as_mut().unwrap().stage.as_mut().unwrap();
-    stage.config.limits.sample_age_ms = Some(60_000);
+    let (axes, mut engine) = engine();
+    let (stage, control) = patient(&mut engine);
     *axes.z.slowest.lock() = 3.0;
     *axes.cells.takes.lock() = Duration::from_millis(100);
-    let moving = AxisStatus { position: 5.0, moving: true, ..axes.z.present() };
-    *axes.z.after_start.lock() = Some(moving);
-    let press = stage.press_to(&mut engine.control, 10.0);
+    let moving = moves_until_stopped(&axes);
+    let press = stage.press_to(control, 10.0);
     let stops = async {
         for stop in 1..=20 {
             stopped(&axes, stop).await;
@@ -147,42 +156,21 @@ async fn a_press_whose_samples_are_late_at_the_slowest_motion_of_the_drive_trips
 
 #[tokio::test]
 async fn a_press_whose_start_is_not_acknowledged_is_stopped_and_continues_more_slowly() {
-    let axes = StandIns::default();
-    let mut engine = engine(&axes);
-    let stage = engine.connection.as_mut().unwrap().stage.as_mut().unwrap();
-    stage.config.limits.sample_age_ms = Some(60_000);
     // It moves, and its reply is lost.
-    let moving = AxisStatus { position: 5.0, moving: true, ..axes.z.present() };
-    *axes.z.after_start.lock() = Some(moving);
-    *axes.z.starts_take.lock() = 2 * HAPPENS_WITHIN;
-    let press = stage.press_to(&mut engine.control, 10.0);
-    let late = async {
-        stopped(&axes, 1).await;
-        let fast_mm_s = *axes.z.speed.lock();
-        *axes.z.starts_take.lock() = Duration::ZERO;
-        axes.z.status.lock().moving = false;
-        fast_mm_s
-    };
-    let (pressed, late) = tokio::join!(press, tokio::time::timeout(HAPPENS_WITHIN, late));
-    let fast_mm_s = late.expect("z is stopped while the reply to its start is awaited");
-    assert!(pressed.is_ok() && axes.z.present().position == 10.0, "{pressed:?}");
-    assert_eq!([&axes.z.starts, &axes.z.stops].map(|n| n.load(Ordering::SeqCst)), [2, 1]);
-    let slow_mm_s = *axes.z.speed.lock();
-    assert!(slow_mm_s < fast_mm_s, "{slow_mm_s} mm/s after {fast_mm_s} mm/s");
+    let [fast, slow] = late_press(2 * HAPPENS_WITHIN, |axes| &axes.z.starts_take).await;
+    assert!(slow < fast, "{slow} mm/s after {fast} mm/s");
 }
 
 #[tokio::test]
 async fn the_first_sample_of_a_press_is_late_from_when_its_start_was_sent() {
-    let axes = StandIns::default();
-    let mut engine = engine(&axes);
-    let stage = engine.connection.as_mut().unwrap().stage.as_mut().unwrap();
-    stage.config.limits.sample_age_ms = Some(60_000);
+    let (axes, mut engine) = engine();
+    let (stage, control) = patient(&mut engine);
     // A sample may be 0.4 s old. Neither the start nor the sample after it takes as long, but both together do.
     stage.stopping.note_poll(0.2);
     *axes.z.starts_take.lock() = Duration::from_millis(300);
     *axes.cells.takes.lock() = Duration::from_millis(300);
     *axes.z.after_start.lock() = Some(AxisStatus { moving: true, ..axes.z.present() });
-    let press = stage.press_to(&mut engine.control, 10.0);
+    let press = stage.press_to(control, 10.0);
     let late = async {
         stopped(&axes, 1).await;
         *axes.z.starts_take.lock() = Duration::ZERO;
@@ -196,8 +184,7 @@ async fn the_first_sample_of_a_press_is_late_from_when_its_start_was_sent() {
 
 #[tokio::test]
 async fn a_press_does_not_start_on_a_sample_that_is_too_old_once_z_was_read() {
-    let axes = StandIns::default();
-    let mut engine = engine(&axes);
+    let (axes, mut engine) = engine();
     let stage = engine.connection.as_mut().unwrap().stage.as_mut().unwrap();
     stage.config.limits.sample_age_ms = Some(100);
     // Before the start z is read after the cells.
@@ -219,17 +206,15 @@ async fn a_touch_off_searches_no_tip_below_the_window_of_the_surface() {
         (true, TripKind::Cell, "arm 2 touched nowhere in the touch-off (skin.surface_z_mm"),
         (false, TripKind::Position, "no cell detected the surface down to z = 70.000 mm (skin."),
     ] {
-        let axes = StandIns::default();
-        let mut engine = engine(&axes);
-        let stage = engine.connection.as_mut().unwrap().stage.as_mut().unwrap();
-        stage.config.limits.sample_age_ms = Some(60_000);
+        let (axes, mut engine) = engine();
+        let (stage, control) = patient(&mut engine);
         stage.config.limits.frame_age_ms = 60_000;
         stage.tips = 2;
         let [_, bottom_mm] = stage.config.skin.surface_z_mm;
         // No arm but the first touches.
         *axes.cells.surface.lock() = Some((axes.z.clone(), bottom_mm - 1.0));
         let at = jiff::Timestamp::now();
-        let touches = touch_off::touch_off(stage, &mut engine.control, &places, 1, at);
+        let touches = touch_off::touch_off(stage, control, &places, 1, at);
         let sinks = async {
             stopped(&axes, 1).await;
             if !is_felt_again {

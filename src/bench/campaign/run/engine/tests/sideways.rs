@@ -6,7 +6,7 @@ use std::time::Duration;
 use tokio::sync::oneshot;
 use tokio::time::Instant;
 
-use super::{engine, with_handle};
+use super::{engine, parts, with_handle};
 use crate::campaign::bench::interlock::TripKind;
 use crate::campaign::bench::rig_state::RigState;
 use crate::campaign::bench::stage::AxisName;
@@ -19,6 +19,13 @@ use crate::rig::traits::AxisStatus;
 /// Longest wait of a test for a motion that must end, also on a loaded machine.
 const ENDS_WITHIN: Duration = Duration::from_secs(10);
 
+/// Waits until a motion or homing of an axis was started.
+async fn started(axis: &StandIn) {
+    while axis.starts.load(Ordering::SeqCst) == 0 {
+        tokio::time::sleep(Duration::from_millis(1)).await;
+    }
+}
+
 /// Motions and homings of x, y and the rotary actuator that were started.
 fn lateral_starts(axes: &StandIns) -> [u64; 3] {
     [&axes.x, &axes.y, &axes.radial].map(|axis| axis.starts.load(Ordering::SeqCst))
@@ -26,8 +33,7 @@ fn lateral_starts(axes: &StandIns) -> [u64; 3] {
 
 #[tokio::test]
 async fn no_axis_homes_sideways_before_z_is_measured_clear() {
-    let axes = StandIns::default();
-    let mut engine = engine(&axes);
+    let (axes, mut engine) = engine();
     // A drive whose zero is where it happens to be.
     let unhomed = AxisStatus { position: 60.0, homed: false, ..axes.z.present() };
     *axes.z.status.lock() = unhomed;
@@ -38,8 +44,7 @@ async fn no_axis_homes_sideways_before_z_is_measured_clear() {
 
 #[tokio::test]
 async fn no_axis_homes_sideways_while_an_attached_cell_reads_a_load_and_z_is_raised_before() {
-    let axes = StandIns::default();
-    let mut engine = engine(&axes);
+    let (axes, mut engine) = engine();
     axes.z.status.lock().position = 60.0;
     axes.cells.volts.lock()[1] = 1.0;
     // After a start of the service no tips are known: each live cell counts.
@@ -57,8 +62,7 @@ async fn no_axis_homes_sideways_while_an_attached_cell_reads_a_load_and_z_is_rai
 
 #[tokio::test]
 async fn a_homing_does_not_end_before_its_drives_can_have_begun() {
-    let axes = StandIns::default();
-    let mut engine = engine(&axes);
+    let (_, mut engine) = engine();
     let began = Instant::now();
     // Each reports its zero, at rest.
     assert!(engine.home().await);
@@ -68,8 +72,7 @@ async fn a_homing_does_not_end_before_its_drives_can_have_begun() {
 
 #[tokio::test]
 async fn z_that_homes_into_a_load_is_stopped() {
-    let axes = StandIns::default();
-    let mut engine = engine(&axes);
+    let (axes, mut engine) = engine();
     axes.cells.volts.lock()[0] = 1.5;
     // It moves until it is stopped.
     let moving = AxisStatus { position: 60.0, homed: false, moving: true, ..axes.z.present() };
@@ -90,18 +93,15 @@ async fn z_that_homes_into_a_load_is_stopped() {
 
 #[tokio::test]
 async fn z_that_homes_into_a_load_before_its_start_is_acknowledged_is_stopped() {
-    let axes = StandIns::default();
-    let mut engine = engine(&axes);
+    let (axes, mut engine) = engine();
     let down = AxisStatus { position: 60.0, homed: false, ..axes.z.present() };
     *axes.z.status.lock() = down;
     *axes.z.after_start.lock() = Some(AxisStatus { moving: true, ..down });
     *axes.z.starts_take.lock() = Duration::from_millis(100);
-    let stage = engine.connection.as_mut().unwrap().stage.as_mut().unwrap();
-    let homing = tokio::time::timeout(ENDS_WITHIN, stage.home(&mut engine.control, None));
+    let (stage, control) = parts(&mut engine);
+    let homing = tokio::time::timeout(ENDS_WITHIN, stage.home(control, None));
     let grows = async {
-        while axes.z.starts.load(Ordering::SeqCst) == 0 {
-            tokio::time::sleep(Duration::from_millis(1)).await;
-        }
+        started(&axes.z).await;
         axes.cells.volts.lock()[0] = 1.0;
     };
     let (homed, ()) = tokio::join!(homing, grows);
@@ -111,8 +111,7 @@ async fn z_that_homes_into_a_load_before_its_start_is_acknowledged_is_stopped() 
 
 #[tokio::test]
 async fn z_homes_although_no_cell_replies_and_no_other_axis_does() {
-    let axes = StandIns::default();
-    let mut engine = engine(&axes);
+    let (axes, mut engine) = engine();
     axes.cells.replies.store(false, Ordering::SeqCst);
     let rising = AxisStatus { position: 60.0, homed: false, moving: true, ..axes.z.present() };
     *axes.z.status.lock() = AxisStatus { moving: false, ..rising };
@@ -131,8 +130,7 @@ async fn z_homes_although_no_cell_replies_and_no_other_axis_does() {
 
 #[tokio::test]
 async fn no_axis_homes_while_another_is_in_alarm() {
-    let axes = StandIns::default();
-    let mut engine = engine(&axes);
+    let (axes, mut engine) = engine();
     axes.radial.status.lock().alarm = Some(1);
     assert!(!engine.home().await);
     assert_eq!((lateral_starts(&axes), engine.control.rig()), ([0; 3], RigState::Tripped));
@@ -140,8 +138,7 @@ async fn no_axis_homes_while_another_is_in_alarm() {
 
 #[tokio::test]
 async fn no_axis_moves_sideways_unless_z_is_homed_at_rest_and_clear() {
-    let axes = StandIns::default();
-    let mut engine = engine(&axes);
+    let (axes, mut engine) = engine();
     let clear = axes.z.present();
     let down = AxisStatus { position: 60.0, ..clear };
     let (rises, unhomed) =
@@ -153,45 +150,44 @@ async fn no_axis_moves_sideways_unless_z_is_homed_at_rest_and_clear() {
         for z in [down, rises, unhomed, beyond, faulty] {
             let kind = z.alarm.map_or(TripKind::Position, |_| TripKind::Device);
             *axes.z.status.lock() = z;
-            let stage = engine.connection.as_mut().unwrap().stage.as_mut().unwrap();
-            let moved = stage.travel(&mut engine.control, &[Target::of(name, 10.0)]).await;
+            let (stage, control) = parts(&mut engine);
+            let moved = stage.travel(control, &[Target::of(name, 10.0)]).await;
             let halt = moved.unwrap_err();
             assert_eq!(halt.as_trip().map(|trip| trip.kind), Some(kind), "{halt:?}");
         }
     }
     assert_eq!(lateral_starts(&axes), [0; 3]);
     *axes.z.status.lock() = clear;
-    let stage = engine.connection.as_mut().unwrap().stage.as_mut().unwrap();
+    let (stage, control) = parts(&mut engine);
     let target = [Target::of(AxisName::X, 10.0), Target::of(AxisName::Y, 10.0)];
     // None is started before each is known, nor while one is in alarm.
     let sound = axes.y.present();
     for y in [AxisStatus { position: -30.0, ..sound }, AxisStatus { alarm: Some(1), ..sound }] {
         *axes.y.status.lock() = y;
-        assert!(stage.travel(&mut engine.control, &target).await.is_err());
+        assert!(stage.travel(control, &target).await.is_err());
         assert_eq!(axes.x.starts.load(Ordering::SeqCst), 0);
     }
     *axes.y.status.lock() = sound;
     // Nor while the cells contradict z.
     stage.tips = 1;
     axes.cells.volts.lock()[0] = 1.0;
-    assert!(stage.travel(&mut engine.control, &target).await.is_err());
+    assert!(stage.travel(control, &target).await.is_err());
     assert_eq!(axes.x.starts.load(Ordering::SeqCst), 0);
     axes.cells.volts.lock()[0] = 0.5;
-    assert!(stage.travel(&mut engine.control, &target).await.is_ok());
+    assert!(stage.travel(control, &target).await.is_ok());
 }
 
 #[tokio::test]
 async fn no_axis_moves_sideways_if_z_sinks_while_the_cells_are_awaited() {
     // A module that still returns the load, and one whose reply takes long.
     for (volts, takes) in [(1.0, Duration::ZERO), (0.5, Duration::from_millis(200))] {
-        let axes = StandIns::default();
-        let mut engine = engine(&axes);
-        let stage = engine.connection.as_mut().unwrap().stage.as_mut().unwrap();
+        let (axes, mut engine) = engine();
+        let (stage, control) = parts(&mut engine);
         stage.tips = 1;
         axes.cells.volts.lock()[0] = volts;
         *axes.cells.takes.lock() = takes;
         let target = [Target::of(AxisName::X, 10.0)];
-        let travel = stage.travel(&mut engine.control, &target);
+        let travel = stage.travel(control, &target);
         let sinks = async {
             tokio::time::sleep(Duration::from_millis(50)).await;
             axes.z.status.lock().position = 60.0;
@@ -205,18 +201,17 @@ async fn no_axis_moves_sideways_if_z_sinks_while_the_cells_are_awaited() {
 
 #[tokio::test]
 async fn nothing_moves_under_a_load_before_its_first_sample() {
-    let axes = StandIns::default();
-    let mut engine = engine(&axes);
-    let stage = engine.connection.as_mut().unwrap().stage.as_mut().unwrap();
+    let (axes, mut engine) = engine();
+    let (stage, control) = parts(&mut engine);
     stage.tips = 1;
     let target = Target::of(AxisName::Z, 10.0);
     axes.cells.volts.lock()[0] = 4.0;
-    let halt = stage.checked_travel(&mut engine.control, target).await.unwrap_err();
+    let halt = stage.checked_travel(control, target).await.unwrap_err();
     assert_eq!(halt.as_trip().map(|trip| trip.kind), Some(TripKind::Force), "{halt:?}");
     assert_eq!(axes.z.starts.load(Ordering::SeqCst), 0);
     axes.cells.volts.lock()[0] = 0.5;
     stage.begin_watch();
-    assert!(stage.checked_travel(&mut engine.control, target).await.is_ok());
+    assert!(stage.checked_travel(control, target).await.is_ok());
 }
 
 #[tokio::test]
@@ -225,14 +220,13 @@ async fn a_lateral_motion_ends_when_z_sinks_or_a_cell_reads_a_load() {
         (60.0, 0.5, TripKind::Position, "z sank to 60.000 mm"),
         (0.0, 1.0, TripKind::Cell, "no lateral motion: z reports to be clear, and cell 1"),
     ] {
-        let axes = StandIns::default();
-        let mut engine = engine(&axes);
+        let (axes, mut engine) = engine();
         // It moves until it is stopped.
         *axes.x.after_start.lock() = Some(AxisStatus { moving: true, ..axes.x.present() });
-        let stage = engine.connection.as_mut().unwrap().stage.as_mut().unwrap();
+        let (stage, control) = parts(&mut engine);
         stage.tips = 1;
         let target = [Target::of(AxisName::X, 100.0)];
-        let travel = stage.travel(&mut engine.control, &target);
+        let travel = stage.travel(control, &target);
         let touches = async {
             tokio::time::sleep(Duration::from_millis(30)).await;
             axes.z.status.lock().position = z_mm;
@@ -249,32 +243,28 @@ async fn a_lateral_motion_ends_when_z_sinks_or_a_cell_reads_a_load() {
 
 #[tokio::test]
 async fn a_jog_on_slow_wires_counts_each_reading_of_the_cells() {
-    let axes = StandIns::default();
-    let mut engine = engine(&axes);
+    let (axes, mut engine) = engine();
     // From its first sample to the next one four replies are awaited.
     for takes in [&axes.cells.takes, &axes.z.status_takes, &axes.x.status_takes] {
         *takes.lock() = Duration::from_millis(300);
     }
-    let stage = engine.connection.as_mut().unwrap().stage.as_mut().unwrap();
+    let (stage, control) = parts(&mut engine);
     stage.config.limits.sample_age_ms = Some(1100);
     let target = Target::of(AxisName::X, 100.0);
-    let jogged = stage.checked_travel(&mut engine.control, target).await;
+    let jogged = stage.checked_travel(control, target).await;
     assert!(jogged.is_ok(), "{jogged:?}");
 }
 
 /// Waits until an axis was started; from then on the cells do not reply.
 async fn silence(axes: &StandIns, axis: &StandIn) {
-    while axis.starts.load(Ordering::SeqCst) == 0 {
-        tokio::time::sleep(Duration::from_millis(1)).await;
-    }
+    started(axis).await;
     *axes.cells.takes.lock() = Duration::from_secs(20);
 }
 
 #[tokio::test]
 async fn an_abort_of_a_lateral_motion_or_homing_waits_for_no_cell() {
     for homes in [true, false] {
-        let axes = StandIns::default();
-        let (mut engine, handle) = with_handle(&axes);
+        let (axes, mut engine, handle) = with_handle();
         // It moves until it is stopped.
         *axes.x.after_start.lock() = Some(AxisStatus { moving: true, ..axes.x.present() });
         let abort = async {
@@ -289,9 +279,9 @@ async fn an_abort_of_a_lateral_motion_or_homing_waits_for_no_cell() {
             if homes {
                 return engine.home().await;
             }
-            let stage = engine.connection.as_mut().unwrap().stage.as_mut().unwrap();
+            let (stage, control) = parts(&mut engine);
             let target = [Target::of(AxisName::X, 100.0)];
-            !matches!(stage.travel(&mut engine.control, &target).await, Err(Halt::Asked))
+            !matches!(stage.travel(control, &target).await, Err(Halt::Asked))
         };
         let (moved, took) = tokio::join!(moves, abort);
         assert!(!moved && took < Duration::from_secs(1), "{took:?}");
@@ -303,14 +293,13 @@ async fn an_abort_of_a_lateral_motion_or_homing_waits_for_no_cell() {
 #[tokio::test]
 async fn no_axis_goes_on_without_a_sample_while_the_wire_still_waits_for_one() {
     for name in [AxisName::Z, AxisName::X] {
-        let axes = StandIns::default();
-        let mut engine = engine(&axes);
+        let (axes, mut engine) = engine();
         let axis = if name == AxisName::Z { &axes.z } else { &axes.x };
         *axis.after_start.lock() = Some(AxisStatus { moving: true, ..axis.present() });
-        let stage = engine.connection.as_mut().unwrap().stage.as_mut().unwrap();
+        let (stage, control) = parts(&mut engine);
         stage.config.limits.sample_age_ms = Some(100);
         let began = Instant::now();
-        let (control, target) = (&mut engine.control, Target::of(name, 100.0));
+        let target = Target::of(name, 100.0);
         let travel = async {
             if name == AxisName::Z {
                 return stage.checked_travel(control, target).await;
@@ -328,17 +317,16 @@ async fn no_axis_goes_on_without_a_sample_while_the_wire_still_waits_for_one() {
 #[tokio::test]
 async fn no_axis_goes_on_while_the_wire_still_waits_for_the_reply_to_its_start() {
     for name in [AxisName::Z, AxisName::X] {
-        let axes = StandIns::default();
-        let mut engine = engine(&axes);
+        let (axes, mut engine) = engine();
         let axis = if name == AxisName::Z { &axes.z } else { &axes.x };
         *axis.starts_take.lock() = Duration::from_secs(20);
-        let stage = engine.connection.as_mut().unwrap().stage.as_mut().unwrap();
+        let (stage, control) = parts(&mut engine);
         stage.config.limits.sample_age_ms = Some(100);
         let (began, target) = (Instant::now(), Target::of(name, 100.0));
         let moved = if name == AxisName::Z {
-            stage.checked_travel(&mut engine.control, target).await
+            stage.checked_travel(control, target).await
         } else {
-            stage.travel(&mut engine.control, &[target]).await
+            stage.travel(control, &[target]).await
         };
         let halt = moved.unwrap_err();
         assert_eq!(halt.as_trip().expect("a trip").kind, TripKind::Stale, "{halt:?}");
@@ -350,14 +338,12 @@ async fn no_axis_goes_on_while_the_wire_still_waits_for_the_reply_to_its_start()
 async fn no_axis_goes_on_sideways_while_z_is_read_too_rarely_although_each_reply_is_in_time() {
     // Neither the reply of z nor the one that is awaited before it takes too long, but both together do.
     for (homes, is_start_slow) in [(false, false), (false, true), (true, false), (true, true)] {
-        let axes = StandIns::default();
-        let mut engine = engine(&axes);
+        let (axes, mut engine) = engine();
         // It moves until it is stopped.
         *axes.x.after_start.lock() = Some(AxisStatus { moving: true, ..axes.x.present() });
         *axes.x.starts_take.lock() = Duration::from_millis(20);
-        let stage = engine.connection.as_mut().unwrap().stage.as_mut().unwrap();
+        let (stage, control) = parts(&mut engine);
         stage.config.limits.sample_age_ms = Some(300);
-        let control = &mut engine.control;
         let moves = async {
             if homes {
                 return stage.home(control, None).await;
@@ -366,9 +352,7 @@ async fn no_axis_goes_on_sideways_while_z_is_read_too_rarely_although_each_reply
             stage.travel(control, &targets).await
         };
         let slows = async {
-            while axes.x.starts.load(Ordering::SeqCst) == 0 {
-                tokio::time::sleep(Duration::from_millis(1)).await;
-            }
+            started(&axes.x).await;
             let slow = if is_start_slow { &axes.y.starts_take } else { &axes.x.status_takes };
             for takes in [slow, &axes.z.status_takes] {
                 *takes.lock() = Duration::from_millis(200);
@@ -386,8 +370,7 @@ async fn no_axis_goes_on_homing_without_its_status_or_the_reply_to_its_start() {
     for (name, is_started) in
         [(AxisName::Z, true), (AxisName::Z, false), (AxisName::X, true), (AxisName::X, false)]
     {
-        let axes = StandIns::default();
-        let mut engine = engine(&axes);
+        let (axes, mut engine) = engine();
         let axis = if name == AxisName::Z { &axes.z } else { &axes.x };
         // It moves until it is stopped. z without a zero homes at once.
         let homes = AxisStatus { moving: true, homed: false, ..axis.present() };
@@ -396,13 +379,11 @@ async fn no_axis_goes_on_homing_without_its_status_or_the_reply_to_its_start() {
         if !is_started {
             *axis.starts_take.lock() = 2 * ENDS_WITHIN;
         }
-        let stage = engine.connection.as_mut().unwrap().stage.as_mut().unwrap();
+        let (stage, control) = parts(&mut engine);
         stage.config.limits.sample_age_ms = Some(100);
-        let homing = tokio::time::timeout(ENDS_WITHIN, stage.home(&mut engine.control, None));
+        let homing = tokio::time::timeout(ENDS_WITHIN, stage.home(control, None));
         let falls_silent = async {
-            while axis.starts.load(Ordering::SeqCst) == 0 {
-                tokio::time::sleep(Duration::from_millis(1)).await;
-            }
+            started(axis).await;
             *axis.status_takes.lock() = 2 * ENDS_WITHIN;
         };
         let (homed, ()) = tokio::join!(homing, falls_silent);
@@ -413,19 +394,16 @@ async fn no_axis_goes_on_homing_without_its_status_or_the_reply_to_its_start() {
 
 #[tokio::test]
 async fn z_that_homes_is_read_although_the_cells_are_silent() {
-    let axes = StandIns::default();
-    let mut engine = engine(&axes);
+    let (axes, mut engine) = engine();
     *axes.cells.takes.lock() = 2 * ENDS_WITHIN;
     let rising = AxisStatus { position: 60.0, homed: false, moving: true, ..axes.z.present() };
     *axes.z.status.lock() = AxisStatus { moving: false, ..rising };
     *axes.z.after_start.lock() = Some(rising);
-    let stage = engine.connection.as_mut().unwrap().stage.as_mut().unwrap();
+    let (stage, control) = parts(&mut engine);
     stage.config.limits.sample_age_ms = Some(100);
-    let homing = tokio::time::timeout(ENDS_WITHIN, stage.home(&mut engine.control, None));
+    let homing = tokio::time::timeout(ENDS_WITHIN, stage.home(control, None));
     let fails = async {
-        while axes.z.starts.load(Ordering::SeqCst) == 0 {
-            tokio::time::sleep(Duration::from_millis(1)).await;
-        }
+        started(&axes.z).await;
         axes.z.status.lock().alarm = Some(1);
     };
     let (homed, ()) = tokio::join!(homing, fails);
@@ -435,16 +413,15 @@ async fn z_that_homes_is_read_although_the_cells_are_silent() {
 
 #[tokio::test]
 async fn a_lateral_motion_continues_while_z_jitters_at_rest() {
-    let axes = StandIns::default();
-    let mut engine = engine(&axes);
-    let stage = engine.connection.as_mut().unwrap().stage.as_mut().unwrap();
+    let (axes, mut engine) = engine();
+    let (stage, control) = parts(&mut engine);
     // As far down as a raise leaves it.
     let at_rest = stage.clear_z_mm() + stage.config.axes.z.tolerance_mm;
     axes.z.status.lock().position = at_rest;
     let moving = AxisStatus { moving: true, ..axes.x.present() };
     *axes.x.after_start.lock() = Some(moving);
     let target = [Target::of(AxisName::X, 100.0)];
-    let travel = stage.travel(&mut engine.control, &target);
+    let travel = stage.travel(control, &target);
     let jitters = async {
         tokio::time::sleep(Duration::from_millis(30)).await;
         axes.z.status.lock().position = at_rest + 0.02;
@@ -457,8 +434,7 @@ async fn a_lateral_motion_continues_while_z_jitters_at_rest() {
 
 #[tokio::test]
 async fn a_drive_in_alarm_that_keeps_its_zero_is_not_homed() {
-    let axes = StandIns::default();
-    let mut engine = engine(&axes);
+    let (axes, mut engine) = engine();
     *axes.x.after_start.lock() = Some(AxisStatus { alarm: Some(1), ..axes.x.present() });
     assert!(!engine.home().await);
     let trip = engine.control.inbox.status.borrow().rig.trip.clone();
@@ -467,8 +443,7 @@ async fn a_drive_in_alarm_that_keeps_its_zero_is_not_homed() {
 
 #[tokio::test]
 async fn a_homing_that_ends_outside_the_travel_is_none() {
-    let axes = StandIns::default();
-    let mut engine = engine(&axes);
+    let (axes, mut engine) = engine();
     *axes.radial.after_start.lock() = Some(AxisStatus { position: -30.0, ..axes.radial.present() });
     assert!(!engine.home().await);
     let trip = engine.control.inbox.status.borrow().rig.trip.clone();
