@@ -94,8 +94,11 @@ pub struct NodeFields {
     pub ln_c: Vec<f64>,
     /// Factor on the foam's compression, per node.
     pub ln_compliance: Vec<f64>,
-    /// Factor on the sheet's conductance, per triangle.
+    /// Factor on the sheet's conductance, per triangle: on the geometric mean of those along x and y.
     pub ln_sheet_conductance: Vec<f64>,
+    /// Sheet's conductance along x over that along y, the same at all positions: a fabric conducts differently along
+    /// its two directions.
+    pub ln_sheet_anisotropy: f64,
     /// The foam's law, applied after the compliance; `None` is linear.
     pub displacement: Option<DisplacementLut>,
 }
@@ -122,6 +125,7 @@ impl NodeFields {
             ln_c: zeros.clone(),
             ln_compliance: zeros,
             ln_sheet_conductance: vec![0.0; mesh.triangles.len()],
+            ln_sheet_anisotropy: 0.0,
             displacement: None,
         }
     }
@@ -146,11 +150,22 @@ impl NodeFields {
         Ok(())
     }
 
+    /// Factors on the nominal sheet's conductance along x and y in a triangle.
+    pub(crate) fn sheet_factors(&self, triangle: usize) -> [f64; 2] {
+        let half = 0.5 * self.ln_sheet_anisotropy;
+        [half, -half].map(|ln| (self.ln_sheet_conductance[triangle] + ln).exp())
+    }
+
     pub(crate) fn digest(&self, digest: &mut Digest) {
         for field in
             [&self.ln_a, &self.ln_b, &self.ln_c, &self.ln_compliance, &self.ln_sheet_conductance]
         {
             digest.numbers(field.iter().copied());
+        }
+        // The hash of an isotropic skin is that of before there were others.
+        if self.ln_sheet_anisotropy != 0.0 {
+            digest.word("anisotropy");
+            digest.numbers([self.ln_sheet_anisotropy]);
         }
         if let Some(lut) = &self.displacement {
             digest.numbers([lut.step_mm]);

@@ -404,8 +404,9 @@ fn network(
     circuit: &ReadoutCircuit,
 ) -> Result<SheetNetwork, ElectrodeError> {
     let square_s = 1.0 / sensor.file.circuit.sheet_ohm_per_sq;
-    let sheet_s: Vec<f64> =
-        fields.ln_sheet_conductance.iter().map(|ln| square_s * ln.exp()).collect();
+    let sheet_s: Vec<_> = (0..mesh.triangles.len())
+        .map(|triangle| fields.sheet_factors(triangle).map(|factor| square_s * factor))
+        .collect();
     SheetNetwork::new(mesh, &sheet_s, circuit)
 }
 

@@ -35,6 +35,8 @@ pub enum Field {
     LnCompliance,
     /// ln of the sheet's conductance, per triangle.
     LnSheetConductance,
+    /// ln of the sheet's conductance along x over that along y: one value.
+    LnSheetAnisotropy,
     /// Lead resistance, ohm, per electrode.
     LeadOhm,
     /// Contact (spreading) resistance, ohm, per electrode. On an ideal electrode, from 0 up.
@@ -47,12 +49,13 @@ pub enum Field {
 
 impl Field {
     /// All fields, in the order of their declaration.
-    pub const ALL: [Self; 9] = [
+    pub const ALL: [Self; 10] = [
         Self::LnA,
         Self::LnB,
         Self::LnC,
         Self::LnCompliance,
         Self::LnSheetConductance,
+        Self::LnSheetAnisotropy,
         Self::LeadOhm,
         Self::ContactOhm,
         Self::ElectrodeX,
@@ -64,6 +67,7 @@ impl Field {
         match self {
             Self::LnA | Self::LnB | Self::LnC | Self::LnCompliance => model.mesh().plane_nodes(),
             Self::LnSheetConductance => model.mesh().triangles.len(),
+            Self::LnSheetAnisotropy => 1,
             Self::LeadOhm | Self::ContactOhm | Self::ElectrodeX | Self::ElectrodeY => {
                 model.circuit().electrodes.len()
             }
@@ -138,6 +142,7 @@ impl NodeSlopes {
             Field::LnC => self.per_ln_c,
             Field::LnCompliance => self.per_ln_compliance,
             Field::LnSheetConductance
+            | Field::LnSheetAnisotropy
             | Field::LeadOhm
             | Field::ContactOhm
             | Field::ElectrodeX
@@ -304,16 +309,19 @@ impl Linearised<'_> {
                         direction.to_top(potentials, index as usize, change_s);
                     }
                     Field::LnSheetConductance
+                    | Field::LnSheetAnisotropy
                     | Field::LeadOhm
                     | Field::ContactOhm
                     | Field::ElectrodeX
                     | Field::ElectrodeY => {
                         let parts = circuit_parts(model, mode.field, index as usize);
-                        for r in parts.resistors.into_iter().flatten() {
+                        for r in parts.resistors {
                             let (a, b) = (r.a as usize, r.b as usize);
                             direction.between(potentials, a, b, moved * r.conductance_s);
                         }
-                        direction.lead(parts.electrode, moved * parts.lead_ohm);
+                        if let Some(electrode) = parts.lead {
+                            direction.lead(electrode, moved);
+                        }
                     }
                 }
             }
@@ -360,8 +368,8 @@ impl Linearised<'_> {
                 let of = |r: Resistor| {
                     r.conductance_s * pull.between(potentials, r.a as usize, r.b as usize)
                 };
-                let sheet: f64 = parts.resistors.into_iter().flatten().map(of).sum();
-                *value = sheet + parts.lead_ohm * pull.lead(parts.electrode);
+                let sheet: f64 = parts.resistors.into_iter().map(of).sum();
+                *value = sheet + parts.lead.map_or(0.0, |electrode| pull.lead(electrode));
             }
         }
     }
@@ -373,7 +381,7 @@ pub(crate) fn circuit_resistors(model: &ForwardModel, mode: &Mode) -> Vec<Resist
     let mut resistors: Vec<Resistor> = Vec::new();
     for &(index, moved) in &mode.entries {
         let parts = circuit_parts(model, mode.field, index as usize).resistors;
-        resistors.extend(parts.into_iter().flatten().map(|r| Resistor {
+        resistors.extend(parts.into_iter().map(|r| Resistor {
             a: r.a.min(r.b),
             b: r.a.max(r.b),
             conductance_s: moved * r.conductance_s,
@@ -393,37 +401,45 @@ pub(crate) fn circuit_resistors(model: &ForwardModel, mode: &Mode) -> Vec<Resist
 /// Changes by one value of a field that is not the foam's, per unit of it.
 struct CircuitParts {
     /// Resistors, with the change of their conductance.
-    resistors: [Option<Resistor>; 3],
-    electrode: usize,
-    lead_ohm: f64,
+    resistors: Vec<Resistor>,
+    /// Electrode whose lead changes by 1 ohm.
+    lead: Option<usize>,
 }
 
 fn circuit_parts(model: &ForwardModel, field: Field, index: usize) -> CircuitParts {
-    let mut parts = CircuitParts { resistors: [None; 3], electrode: 0, lead_ohm: 0.0 };
-    if field == Field::LnSheetConductance {
-        let sigma = model.fields().ln_sheet_conductance[index].exp()
-            / model.sensor().file.circuit.sheet_ohm_per_sq;
-        let triangle = &model.mesh().triangles[index];
-        parts.resistors = sheet::of_triangle(model.mesh(), triangle, sigma).map(Some);
-        return parts;
-    }
-    parts.electrode = index;
-    let ideal = model.circuit().electrodes[index].contact_ohm == 0.0;
+    let mut parts = CircuitParts { resistors: Vec::new(), lead: None };
+    let ideal = || model.circuit().electrodes[index].contact_ohm == 0.0;
     match field {
-        Field::LeadOhm => parts.lead_ohm = 1.0,
-        // In series with the electrode's lead, and without current otherwise.
-        Field::ContactOhm if ideal => parts.lead_ohm = 1.0,
-        Field::ElectrodeX | Field::ElectrodeY if ideal => {}
-        Field::ContactOhm | Field::ElectrodeX | Field::ElectrodeY => {
-            parts.resistors = electrode_slopes(model, field, index);
+        Field::LnSheetConductance => {
+            parts.resistors = sheet_slopes(model, index, [1.0; 2]).to_vec()
         }
-        Field::LnA | Field::LnB | Field::LnC | Field::LnCompliance | Field::LnSheetConductance => {}
+        Field::LnSheetAnisotropy => {
+            let triangles = 0..model.mesh().triangles.len();
+            parts.resistors =
+                triangles.flat_map(|index| sheet_slopes(model, index, [0.5, -0.5])).collect();
+        }
+        Field::LeadOhm => parts.lead = Some(index),
+        // In series with the electrode's lead, and without current otherwise.
+        Field::ContactOhm if ideal() => parts.lead = Some(index),
+        Field::ElectrodeX | Field::ElectrodeY if ideal() => {}
+        Field::ContactOhm | Field::ElectrodeX | Field::ElectrodeY => {
+            parts.resistors = electrode_slopes(model, field, index).to_vec();
+        }
+        Field::LnA | Field::LnB | Field::LnC | Field::LnCompliance => {}
     }
     parts
 }
 
+/// Slopes of the resistors of a triangle of the sheet, for slopes of ln of its conductance along x and y.
+fn sheet_slopes(model: &ForwardModel, triangle: usize, slopes: [f64; 2]) -> [Resistor; 3] {
+    let square_s = 1.0 / model.sensor().file.circuit.sheet_ohm_per_sq;
+    let factors = model.fields().sheet_factors(triangle);
+    let sigma = [0, 1].map(|axis| square_s * slopes[axis] * factors[axis]);
+    sheet::of_triangle(model.mesh(), &model.mesh().triangles[triangle], sigma)
+}
+
 /// Slopes of the resistors between an electrode that is a separate node and the sheet.
-fn electrode_slopes(model: &ForwardModel, field: Field, electrode: usize) -> [Option<Resistor>; 3] {
+fn electrode_slopes(model: &ForwardModel, field: Field, electrode: usize) -> [Resistor; 3] {
     let (mesh, circuit): (&Mesh, &ReadoutCircuit) = (model.mesh(), model.circuit());
     let site = circuit.electrodes[electrode];
     let at_mm = [site.x_mm, site.y_mm];
@@ -436,6 +452,6 @@ fn electrode_slopes(model: &ForwardModel, field: Field, electrode: usize) -> [Op
             Field::ElectrodeX => slopes[corner][0] / site.contact_ohm,
             _ => slopes[corner][1] / site.contact_ohm,
         };
-        Some(Resistor { a: place.nodes[corner], b: own, conductance_s })
+        Resistor { a: place.nodes[corner], b: own, conductance_s }
     })
 }

@@ -155,8 +155,11 @@ pub struct SkinFields {
     pub ln_c: SkinField,
     /// Factor on the foam's compression.
     pub ln_compliance: SkinField,
-    /// Factor on the sheet's conductance.
+    /// Factor on the sheet's conductance: on the geometric mean of those along x and y.
     pub ln_sheet_conductance: SkinField,
+    /// Natural logarithm of the sheet's conductance along x over that along y. Earlier files have none: 0.
+    #[serde(default)]
+    pub ln_sheet_anisotropy: f64,
 }
 
 impl SkinFields {
@@ -184,6 +187,7 @@ impl SkinFields {
             ln_c: over_nodes(&self.ln_c),
             ln_compliance: over_nodes(&self.ln_compliance),
             ln_sheet_conductance: self.ln_sheet_conductance.over(sensor, centres),
+            ln_sheet_anisotropy: self.ln_sheet_anisotropy,
             displacement: Some(self.foam.law()?),
         })
     }

@@ -78,6 +78,7 @@ fn skin() -> Calibration {
             ln_c: field(0.0),
             ln_compliance: field(0.05),
             ln_sheet_conductance: field(0.2),
+            ln_sheet_anisotropy: 0.25,
         },
     };
     Calibration { sensor: "ert-28".into(), skin: Some(skin), ..Calibration::default() }

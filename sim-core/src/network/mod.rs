@@ -72,15 +72,15 @@ pub enum ElectrodeError {
 }
 
 impl SheetNetwork {
-    /// Builds the sheet of a mesh (`sheet_s`: conductance per square of each triangle, S) with a
-    /// circuit's electrodes on it.
+    /// Builds the sheet of a mesh (`sheet_s`: conductance per square of each triangle, S, along x and y)
+    /// with a circuit's electrodes on it.
     ///
     /// # Errors
     /// `ElectrodeError` with the first electrode that is off a node, on another one's node, or has
     /// an invalid resistance.
     pub fn new(
         mesh: &Mesh,
-        sheet_s: &[f64],
+        sheet_s: &[[f64; 2]],
         circuit: &ReadoutCircuit,
     ) -> Result<Self, ElectrodeError> {
         let mut network = Self {

@@ -135,6 +135,7 @@ fn other_skin() -> ForwardModel {
     ] {
         field.iter_mut().for_each(|v| *v = rng.random_range(-0.2..0.2));
     }
+    fields.ln_sheet_anisotropy = 0.2;
     let soft = |x: f64| x * (1.0 + 0.1 * x * (-x).exp());
     fields.displacement =
         Some(DisplacementLut::sample(LutGrid { step_mm: 0.05, end_mm: 30.0 }, soft).unwrap());
@@ -162,6 +163,7 @@ fn value<'a>(
         Field::LnC => &mut fields.ln_c[index],
         Field::LnCompliance => &mut fields.ln_compliance[index],
         Field::LnSheetConductance => &mut fields.ln_sheet_conductance[index],
+        Field::LnSheetAnisotropy => &mut fields.ln_sheet_anisotropy,
         Field::LeadOhm => &mut circuit.electrodes[index].lead_ohm,
         Field::ContactOhm => &mut circuit.electrodes[index].contact_ohm,
         Field::ElectrodeX => &mut circuit.electrodes[index].x_mm,
@@ -186,7 +188,7 @@ fn random_modes(model: &ForwardModel, rng: &mut ChaCha8Rng) -> Vec<Mode> {
         let on_electrodes = count == 28;
         let mut entries = Vec::new();
         for i in 0..count {
-            if if on_electrodes { i % 3 == 0 } else { rng.random_bool(0.1) } {
+            if if on_electrodes { i % 3 == 0 } else { count == 1 || rng.random_bool(0.1) } {
                 entries.push((i, rng.random_range(-1.0..1.0)));
             }
         }

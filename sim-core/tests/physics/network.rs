@@ -105,7 +105,7 @@ fn twin_a_lost_resistor_is_seen() {
 #[test]
 fn the_order_of_removal_does_not_matter() {
     let m = model();
-    let sheet = vec![1e-4; m.mesh().triangles.len()];
+    let sheet = vec![[1e-4; 2]; m.mesh().triangles.len()];
     let network = SheetNetwork::new(m.mesh(), &sheet, m.circuit()).unwrap();
     // A barely touched skin: condition number 1e13, where a plain Cholesky loses its digits.
     let to_top = vec![6e-13; network.places_mm.len()];
@@ -135,7 +135,7 @@ fn two_resistors_in_a_row_have_the_closed_form() {
 /// The skin's Z by a sparse Cholesky factor with subtractions.
 fn sparse_impedance(to_top: &[f64]) -> Vec<f64> {
     let m = model();
-    let sheet = vec![1e-4; m.mesh().triangles.len()];
+    let sheet = vec![[1e-4; 2]; m.mesh().triangles.len()];
     let network = SheetNetwork::new(m.mesh(), &sheet, m.circuit()).unwrap();
     let n = network.places_mm.len();
     let mut triplets: Vec<_> = (0..n).map(|i| Triplet::new(i, i, to_top[i])).collect();
@@ -178,7 +178,7 @@ fn the_whole_skin_agrees_with_a_sparse_cholesky() {
 #[test]
 fn the_sheets_inner_resistors_have_the_equilateral_value() {
     let m = model();
-    let sheet = vec![1e-4; m.mesh().triangles.len()];
+    let sheet = vec![[1e-4; 2]; m.mesh().triangles.len()];
     let network = SheetNetwork::new(m.mesh(), &sheet, m.circuit()).unwrap();
     assert_eq!(network.places_mm.len(), 3503);
     let inner = 1e-4 / 3f64.sqrt(); // 2 x sigma cot(60) / 2 = 5.77e-5 S
@@ -191,10 +191,32 @@ fn the_sheets_inner_resistors_have_the_equilateral_value() {
     assert!(half > 150 && full > 10_000);
 }
 
+/// Linear elements hold a linear potential exactly: its power is conductance x area.
+#[test]
+fn an_anisotropic_sheet_conducts_along_each_axis_as_stated() {
+    let m = model();
+    let sheet = vec![[1.3e-4, 1e-4]; m.mesh().triangles.len()];
+    let network = SheetNetwork::new(m.mesh(), &sheet, m.circuit()).unwrap();
+    let area_mm2: f64 = m.mesh().triangles.iter().map(|t| m.mesh().triangle_area_mm2(t)).sum();
+    let power = |along: [f64; 2]| -> f64 {
+        let volts = |node: u32| {
+            let [x, y] = network.places_mm[node as usize];
+            along[0] * x + along[1] * y
+        };
+        let of = |r: &Resistor| r.conductance_s * (volts(r.a) - volts(r.b)).powi(2);
+        network.resistors.iter().map(of).sum::<f64>() / area_mm2
+    };
+    for (along, expected) in [([1.0, 0.0], 1.3e-4), ([0.0, 1.0], 1e-4), ([1.0, -2.0], 5.3e-4)] {
+        let found = power(along);
+        assert!((found / expected - 1.0).abs() < 1e-12, "{along:?}: {found:e}");
+    }
+    assert!(network.resistors.iter().all(|r| r.conductance_s > 0.0));
+}
+
 #[test]
 fn electrodes_off_the_nodes_need_a_contact_and_then_act_as_one_patch() {
     let m = model();
-    let sheet = vec![1e-4; m.mesh().triangles.len()];
+    let sheet = vec![[1e-4; 2]; m.mesh().triangles.len()];
     let mut circuit = m.circuit().clone();
     circuit.electrodes[3].x_mm += 3.0;
     assert_eq!(

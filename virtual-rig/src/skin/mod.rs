@@ -239,6 +239,7 @@ fn fields(mesh: &Mesh, sensor: &Sensor, gap: &Gap, seed: u64) -> Result<NodeFiel
         ln_c: smooth("ln c", g.ln_c_sd, nodes),
         ln_compliance,
         ln_sheet_conductance: smooth("ln sheet", g.ln_sheet_sd, &centres),
+        ln_sheet_anisotropy: 0.0,
         displacement: Some(DisplacementLut::sample(LUT_GRID, |x| foam.apply(x))?),
     })
 }

@@ -31,9 +31,9 @@ use sweep::{Misfits, Sweep};
 
 /// The fit ends after a step that lowers the cost by less than this share.
 const ENOUGH: f64 = 2e-3;
-/// Steps in which electrode positions are searched: in the first step the other parameters are too
-/// inaccurate for it.
-const PLACING: [usize; 2] = [2, 4];
+/// How often electrode positions are searched, each time after the other parameters have converged: a search among
+/// inaccurate parameters ends with electrodes that are displaced for good.
+const PLACINGS: usize = 3;
 /// Largest change of ln of an electrode's resistance in a step: voltages are linear in the
 /// resistance itself, so that the logarithm of a loose electrode would diverge to an open circuit.
 const RESISTANCE_STEP: f64 = 1.0;
@@ -64,6 +64,8 @@ pub struct SkinPrior {
     pub ln_compliance: FieldPrior,
     /// Prior of ln sheet conductance.
     pub ln_sheet_conductance: FieldPrior,
+    /// Standard deviation of ln of the sheet's conductance along x over that along y.
+    pub anisotropy_ln_sd: f64,
     /// Standard deviation of the logarithm of the foam law's slope.
     pub foam_sd: f64,
     /// Correlation length of that slope, mm of compression.
@@ -97,6 +99,7 @@ impl Default for SkinPrior {
             ln_c: field(0.5, 0.2, 0.0),
             ln_compliance: field(0.3, 0.1, 0.05),
             ln_sheet_conductance: field(0.3, 0.1, 0.0),
+            anisotropy_ln_sd: 0.3,
             foam_sd: 0.3,
             foam_mm: 0.8,
             electrode_sd_mm: 4.0,
@@ -162,7 +165,7 @@ pub struct SkinFitOptions {
     pub errors: TrialErrors,
     /// Largest distance between corners of the finest fields, mm; see [`spacing_mm`].
     pub spacing_mm: f64,
-    /// Largest number of Gauss-Newton steps.
+    /// Largest number of Gauss-Newton steps in all.
     pub steps: usize,
     /// Number of threads; the result does not depend on it.
     pub threads: usize,
@@ -175,7 +178,7 @@ impl SkinFitOptions {
             prior: SkinPrior::default(),
             errors: TrialErrors::default(),
             spacing_mm: spacing_mm(trials),
-            steps: 10,
+            steps: 30,
             threads,
         }
     }
@@ -199,8 +202,7 @@ pub struct SkinProgress {
     pub steps: usize,
     /// Cost after the previous step; `None` in the first step.
     pub cost: Option<f64>,
-    /// Trials processed in all steps, each as often as it was processed: a step processes all of them three
-    /// times, and six times if electrode positions are searched.
+    /// Trials processed in all steps, each as often as it was processed: a step processes all of them three times.
     pub done: usize,
     /// Number to process if the fit takes all its steps.
     pub total: usize,
@@ -280,37 +282,31 @@ pub fn fit(
     check(sensor, trials)?;
     let parameters = Parameters::new(sensor, responses, options.prior, options.spacing_mm)?;
     let mut sweep = Sweep::new(&parameters, trials, options, progress);
-    let mut vector = vec![0.0; parameters.len()];
-    let mut offsets_v = vec![0.0; sensor.channels()];
-    let mut model = parameters.model(&vector)?;
-    let (mut costs, mut factors, mut damping) = (Vec::new(), vec![1.0; trials.len()], 0.0);
-    for step in 1..=options.steps {
-        sweep.begin(step, costs.last().copied());
-        let mut best = stepped(&mut sweep, &vector, &model, &offsets_v, (step, damping))?;
-        let mut moved = false;
-        if PLACING.contains(&step)
-            && let Some(there) = places::placed(&mut sweep, &model, &offsets_v, &factors, &vector)?
-        {
-            let model = parameters.model(&there)?;
-            let there = stepped(&mut sweep, &there, &model, &offsets_v, (step, damping))?;
-            let worth =
-                |there: &Step| best.as_ref().is_none_or(|b| there.is_better(b, &parameters));
-            if there.as_ref().is_some_and(worth) {
-                (best, moved) = (there, true);
-            }
-        }
-        let Some(next) = best else { break };
-        if costs.is_empty() {
-            costs.push(next.before);
-        }
-        offsets_v = next.there.offsets_v(options.prior.offset_sd_v);
-        costs.push(next.after);
-        let gain = next.before - next.after;
-        (vector, model, factors, damping) = (next.vector, next.model, next.factors, next.damping);
-        if gain < ENOUGH * next.before && !moved && step >= PLACING[0] {
+    let start = Start {
+        model: parameters.model(&vec![0.0; parameters.len()])?,
+        vector: vec![0.0; parameters.len()],
+        offsets_v: vec![0.0; sensor.channels()],
+    };
+    let mut costs = Vec::new();
+    let mut best = descended(&mut sweep, start, &mut costs)?;
+    for _ in 0..PLACINGS {
+        let Some(there) = best.as_ref().map_or(Ok(None), |best| best.placed(&mut sweep))? else {
+            break;
+        };
+        let mut after = costs.clone();
+        let moved = descended(&mut sweep, there, &mut after)?;
+        let is_better = |(moved, best): (&Step, &Step)| moved.is_better(best, &parameters);
+        if !moved.as_ref().zip(best.as_ref()).is_some_and(is_better) {
             break;
         }
+        (best, costs) = (moved, after);
     }
+    let (vector, offsets_v, factors) = match best {
+        Some(best) => (best.vector, best.offsets_v, best.factors),
+        None => {
+            (vec![0.0; parameters.len()], vec![0.0; sensor.channels()], vec![1.0; trials.len()])
+        }
+    };
     let doubted = (0..trials.len()).filter(|&i| factors[i] < 0.5 && !trials[i].contacts.is_empty());
     Ok(SkinFit {
         fields: parameters.skin_fields(&vector),
@@ -322,11 +318,20 @@ pub fn fit(
     })
 }
 
+/// Where a descent begins.
+struct Start {
+    vector: Vec<f64>,
+    model: ForwardModel,
+    offsets_v: Vec<f64>,
+}
+
 /// A step that lowered the cost.
 struct Step {
     vector: Vec<f64>,
     model: ForwardModel,
     there: Misfits,
+    /// Offsets estimated from its residuals, V.
+    offsets_v: Vec<f64>,
     /// Weight of each trial, 0 to 1.
     factors: Vec<f64>,
     edge: f64,
@@ -341,6 +346,43 @@ impl Step {
         let cost = |s: &Self| s.there.cost(other.edge) + parameters.prior_cost(&s.vector);
         cost(self) < cost(other)
     }
+
+    /// The same skin with electrodes moved to where they fit best; `None` if none moves.
+    fn placed(&self, sweep: &mut Sweep<'_>) -> Result<Option<Start>, SkinFitError> {
+        let Self { vector, model, offsets_v, factors, .. } = self;
+        let Some(vector) = places::placed(sweep, model, offsets_v, factors, vector)? else {
+            return Ok(None);
+        };
+        let model = sweep.parameters().model(&vector)?;
+        Ok(Some(Start { vector, model, offsets_v: offsets_v.clone() }))
+    }
+}
+
+/// The last of the steps from a start that each lower the cost by more than [`ENOUGH`]; `None` if none lowers it.
+/// Costs are appended.
+fn descended(
+    sweep: &mut Sweep<'_>,
+    start: Start,
+    costs: &mut Vec<f64>,
+) -> Result<Option<Step>, SkinFitError> {
+    let Start { mut vector, mut model, mut offsets_v } = start;
+    let (mut last, mut damping): (Option<Step>, f64) = (None, 0.0);
+    while sweep.begin(costs.last().copied()) {
+        let Some(next) = stepped(sweep, &vector, &model, &offsets_v, damping)? else { break };
+        if costs.is_empty() {
+            costs.push(next.before);
+        }
+        costs.push(next.after);
+        (vector, model, offsets_v) =
+            (next.vector.clone(), next.model.clone(), next.offsets_v.clone());
+        damping = next.damping;
+        let ends = next.before - next.after < ENOUGH * next.before;
+        last = Some(next);
+        if ends {
+            break;
+        }
+    }
+    Ok(last)
 }
 
 /// The Gauss-Newton step from a vector, shortened as needed; `None` if none lowers the cost.
@@ -349,7 +391,7 @@ fn stepped(
     vector: &[f64],
     model: &ForwardModel,
     offsets_v: &[f64],
-    (step, mut damping): (usize, f64),
+    mut damping: f64,
 ) -> Result<Option<Step>, SkinFitError> {
     let parameters = sweep.parameters();
     let here = sweep.misfits(model, offsets_v)?;
@@ -359,15 +401,17 @@ fn stepped(
     let (normal, pull) = sweep.normal(model, offsets_v, &factors)?;
     while damping < MOST_DAMPING {
         let move_by = solve(parameters, &normal, &pull, vector, damping)
-            .ok_or(SkinFitError::Normal { step })?;
+            .ok_or(SkinFitError::Normal { step: sweep.step() })?;
         let next: Vec<f64> = vector.iter().zip(&move_by).map(|(v, d)| v + d).collect();
         let model = parameters.model(&next)?;
         let there = sweep.misfits(&model, offsets_v)?;
         let after = there.cost(edge) + parameters.prior_cost(&next);
         if after < before {
             let damping = if damping < 1e-3 { 0.0 } else { 0.1 * damping };
-            let vector = next;
-            return Ok(Some(Step { vector, model, there, factors, edge, before, after, damping }));
+            let (vector, offsets_v) = (next, there.offsets_v(sweep.offset_sd_v()));
+            let step =
+                Step { vector, model, there, offsets_v, factors, edge, before, after, damping };
+            return Ok(Some(step));
         }
         damping = f64::max(10.0 * damping, 1e-2);
     }

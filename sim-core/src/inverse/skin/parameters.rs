@@ -66,7 +66,7 @@ impl FieldBlock {
 
 /// Changes of the circuit with the parameters of the sheet and the electrodes, one after the other.
 pub(super) struct CircuitChanges {
-    /// Changes by the sheet's corners and the electrodes' contacts.
+    /// Changes by the sheet's corners, its anisotropy and the electrodes' contacts.
     pub resistors: Vec<Vec<Resistor>>,
     /// Changes by the leads.
     pub leads: Vec<Mode>,
@@ -80,6 +80,8 @@ pub(super) struct Parameters {
     responses: Arc<UnitResponses>,
     prior: SkinPrior,
     pub blocks: Vec<FieldBlock>,
+    /// Index of the sheet's anisotropy; the electrodes follow.
+    anisotropy: usize,
     first_electrode: usize,
     electrodes: usize,
     /// Inverse of the prior's covariance.
@@ -115,7 +117,8 @@ impl Parameters {
             responses,
             prior,
             blocks,
-            first_electrode: first,
+            anisotropy: first,
+            first_electrode: first + 1,
             electrodes,
             precision: Mat::zeros(0, 0),
         };
@@ -145,7 +148,7 @@ impl Parameters {
                 }
             }
         }
-        for i in self.first_electrode..self.len() {
+        for i in self.anisotropy..self.len() {
             out[i] = self.precision[(i, i)] * vector[i];
         }
         out
@@ -172,6 +175,7 @@ impl Parameters {
             self.prior.foam_sd.powi(2) * ((-0.5 * t * t).exp() + own)
         });
         set_inverse(&mut precision, 0, &law).ok_or(SkinFitError::FoamPrior)?;
+        precision[(self.anisotropy, self.anisotropy)] = 1.0 / self.prior.anisotropy_ln_sd.powi(2);
         let sds = [
             self.prior.electrode_sd_mm,
             self.prior.electrode_sd_mm,
@@ -225,6 +229,12 @@ impl Parameters {
         let scale =
             |(i, ln): (usize, &f64)| if i < resistances { 1.0 } else { (-ln).exp().max(1.0) };
         vector.iter().enumerate().map(scale).collect()
+    }
+
+    /// Index of the sheet's anisotropy in the vector.
+    #[cfg(test)]
+    pub fn anisotropy(&self) -> usize {
+        self.anisotropy
     }
 
     /// Range of the electrodes' moves in the vector.
@@ -296,6 +306,7 @@ impl Parameters {
             ln_c,
             ln_compliance,
             ln_sheet_conductance,
+            ln_sheet_anisotropy: vector[self.anisotropy],
             displacement: Some(self.foam(vector).law().map_err(ModelError::from)?),
         };
         let responses = Arc::clone(&self.responses);
@@ -318,6 +329,7 @@ impl Parameters {
                 modes[corner].entries.push((triangle as u32, weight));
             }
         }
+        modes.push(Mode { field: Field::LnSheetAnisotropy, entries: vec![(0, 1.0)] });
         let sites = &model.circuit().electrodes;
         let of_electrodes = |field: Field, moved: fn(&ElectrodeSite) -> f64| {
             let each = move |(k, site)| Mode { field, entries: vec![(k as u32, moved(site))] };
@@ -327,7 +339,9 @@ impl Parameters {
         CircuitChanges {
             resistors: modes.iter().map(|mode| circuit_resistors(model, mode)).collect(),
             leads: of_electrodes(Field::LeadOhm, |site| site.lead_ohm).collect(),
-            at: sheet.at.clone().chain(self.of_electrode(2, 0)..self.len()).collect(),
+            at: (sheet.at.start..=self.anisotropy)
+                .chain(self.of_electrode(2, 0)..self.len())
+                .collect(),
         }
     }
 
@@ -368,7 +382,15 @@ impl Parameters {
                     values: vector[block.at.clone()].iter().map(|&v| rounded(v)).collect(),
                 }
             });
-        SkinFields { foam, ln_a, ln_b, ln_c, ln_compliance, ln_sheet_conductance }
+        SkinFields {
+            foam,
+            ln_a,
+            ln_b,
+            ln_c,
+            ln_compliance,
+            ln_sheet_conductance,
+            ln_sheet_anisotropy: rounded(vector[self.anisotropy]),
+        }
     }
 
     /// The electrodes as a calibration stores them.

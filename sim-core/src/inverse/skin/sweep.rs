@@ -9,10 +9,12 @@ use faer::Mat;
 
 use super::frame::{FrameMisfit, FrameTerms, FrameWork, Pass, WhiteColumns};
 use super::parameters::{CircuitChanges, LAW_PIECES, LAW_STEP_MM, Parameters};
-use super::{MeasuredTrial, PLACING, SkinFitError, SkinFitOptions, SkinProgress};
+use super::{MeasuredTrial, SkinFitError, SkinFitOptions, SkinProgress};
 use crate::forward::ForwardModel;
 use crate::stats::{sorted, upper_quantile};
 
+/// How often a step processes each trial, unless it is shortened.
+const PASSES: usize = 3;
 /// Number of trials whose terms are in memory at a time (about 1 MB each).
 const BLOCK_TRIALS: usize = 64;
 /// The pull of a misfit is linear above this multiple of the median's root.
@@ -107,7 +109,7 @@ impl<'a> Sweep<'a> {
         options: &'a SkinFitOptions,
         progress: &'a mut dyn FnMut(SkinProgress),
     ) -> Self {
-        let total = passes(options.steps) * trials.len();
+        let total = PASSES * options.steps * trials.len();
         let at = SkinProgress { step: 0, steps: options.steps, cost: None, done: 0, total };
         let mut work = Vec::new();
         work.resize_with(options.threads.max(1), FrameWork::default);
@@ -119,11 +121,27 @@ impl<'a> Sweep<'a> {
         self.parameters
     }
 
-    /// Starts a step, from 1: the steps before it are done.
-    pub fn begin(&mut self, step: usize, cost: Option<f64>) {
-        (self.at.step, self.at.cost) = (step, cost);
-        self.at.done = passes(step - 1) * self.trials.len();
-        self.end = passes(step) * self.trials.len();
+    /// Starts the next step; false if all are taken.
+    pub fn begin(&mut self, cost: Option<f64>) -> bool {
+        if self.at.step == self.at.steps {
+            return false;
+        }
+        let step = PASSES * self.trials.len();
+        self.at.done = step * self.at.step;
+        self.at.step += 1;
+        self.end = step * self.at.step;
+        self.at.cost = cost;
+        true
+    }
+
+    /// The current step, from 1.
+    pub fn step(&self) -> usize {
+        self.at.step
+    }
+
+    /// Prior standard deviation of a channel's offset, V.
+    pub fn offset_sd_v(&self) -> f64 {
+        self.options.prior.offset_sd_v
     }
 
     /// Computes the misfits of all trials.
@@ -234,11 +252,6 @@ impl<'a> Sweep<'a> {
         }
         Ok(())
     }
-}
-
-/// How often the first steps of a fit process each trial.
-fn passes(steps: usize) -> usize {
-    (1..=steps).map(|step| if PLACING.contains(&step) { 6 } else { 3 }).sum()
 }
 
 /// Processes each index on one thread per memory; returns the results in the order of the indices.
