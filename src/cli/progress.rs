@@ -1,15 +1,16 @@
 //! A progress bar for counted work, and log lines without a terminal.
 //! Uses: indicatif. Never: standard output.
 
+use std::fmt;
 use std::io::IsTerminal;
 use std::sync::Arc;
 use std::sync::mpsc::{self, RecvTimeoutError, Sender};
 use std::time::{Duration, Instant};
 
-use indicatif::{ProgressBar, ProgressStyle};
+use indicatif::{ProgressBar, ProgressState, ProgressStyle};
 use parking_lot::Mutex;
 
-use super::output::note;
+use super::output::{grouped, note};
 
 /// Interval of progress lines without a terminal.
 pub const PROGRESS_LINES: Duration = Duration::from_secs(10);
@@ -17,7 +18,7 @@ pub const PROGRESS_LINES: Duration = Duration::from_secs(10);
 /// A bar on standard error, in units of this name; hidden if that is not a terminal.
 pub fn progress_bar(unit: &str) -> ProgressBar {
     bar(&format!(
-        "{{bar:30}} {{human_pos}} / {{human_len}} {unit}, {{per_sec}}, {{eta}} to go {{msg}}"
+        "{{bar:30}} {{human_pos}} / {{human_len}} {unit}, {{rate}}, {{eta}} to go {{msg}}"
     ))
 }
 
@@ -67,8 +68,21 @@ pub fn bar(template: &str) -> ProgressBar {
     if !std::io::stderr().is_terminal() {
         return ProgressBar::hidden();
     }
-    let style = ProgressStyle::with_template(template);
+    let style = ProgressStyle::with_template(template).map(|style| style.with_key("rate", rate));
     ProgressBar::new(0).with_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()))
+}
+
+/// `rate` of a template: units per second.
+fn rate(state: &ProgressState, out: &mut dyn fmt::Write) {
+    let _ = write!(out, "{}", rate_words(state.per_sec()));
+}
+
+/// Units per second with the digits that matter: decimals below 10 only.
+fn rate_words(per_s: f64) -> String {
+    match per_s < 10.0 {
+        true => format!("{per_s:.1}/s"),
+        false => format!("{}/s", grouped(per_s.round() as u64)),
+    }
 }
 
 /// Interval of asking how much of counted work is done.
@@ -226,6 +240,11 @@ mod tests {
     use tokio::sync::Notify;
 
     use super::*;
+
+    #[test]
+    fn a_rate_has_the_digits_that_matter() {
+        assert_eq!([0.0, 2.46, 35_930.3744].map(rate_words), ["0.0/s", "2.5/s", "35,930/s"]);
+    }
 
     #[tokio::test]
     async fn counted_work_is_asked_for_until_it_ends() {

@@ -15,7 +15,7 @@ use super::care::wear_words;
 use super::client::Client;
 use super::error::{CliError, CliResult};
 use super::files::RigFiles;
-use super::output::{Output, note, say, say_json};
+use super::output::{Output, counted, note, say, say_json};
 use super::progress::Working;
 use super::signals::Signals;
 use super::view::StatusView;
@@ -25,6 +25,7 @@ use crate::campaign::bench::estop::StopSwitch;
 use crate::campaign::bench::rig_state::RigState;
 use crate::campaign::bench::travel::HOMING_WAIT;
 use crate::campaign::check::{self, Scope};
+use crate::campaign::shown::status::RigStatus;
 use crate::record::{ARMS, Pose};
 use crate::store::ActionRow;
 
@@ -214,7 +215,7 @@ async fn operate(client: &Client, command: RigCommand, output: Output) -> CliRes
     };
     match output {
         Output::Json => say_json(&client.get::<Value>("/api/v1/status").await?["rig"]),
-        Output::Text => say(rig_words(&status)),
+        Output::Text => say(rig_words(&status.rig)),
     }
     Ok(())
 }
@@ -432,18 +433,21 @@ fn report_words(report: &Value) -> String {
     lines.join("\n")
 }
 
-fn rig_words(status: &StatusView) -> String {
-    let rig = &status.rig;
+/// State, entered tips and position, as text.
+fn rig_words(rig: &RigStatus) -> String {
+    let tips = |count: u8| format!(", {} entered", counted(count.into(), "tip", "tips"));
+    let tips = rig.tips.map_or_else(String::new, tips);
     let pose = rig.pose.map_or_else(String::new, |p| {
         let (x, y, z, r) = (p.x_mm, p.y_mm, p.z_mm, p.radius_mm);
         format!(", at x {x:.2}  y {y:.2}  z {z:.2}  radius {r:.2} mm")
     });
-    format!("rig {} ({}): {}{pose}", rig.name, rig.label.as_str(), rig.state_words())
+    format!("rig {} ({}): {}{tips}{pose}", rig.name, rig.label.as_str(), rig.state_words())
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::campaign::shown::status::StreamStatus;
 
     #[test]
     fn a_check_is_shown_with_the_digits_that_matter() {
@@ -462,5 +466,14 @@ mod tests {
         assert_eq!(report_words(&report), shown);
         let silent = json!({ "rig": "iai", "label": "real", "axes": [], "stream": {} });
         assert!(report_words(&silent).ends_with("ert     - frames/s, noise sd - V"));
+    }
+
+    #[test]
+    fn entered_tips_are_shown() {
+        let rig = json!({ "name": "lab", "label": "virtual", "has_stage": true, "state": "homed",
+            "clock_rate": 1.0, "forces_n": [], "tips": 4, "stream": StreamStatus::default(),
+            "wires": [], "estop_stops": [] });
+        let rig: RigStatus = serde_json::from_value(rig).unwrap();
+        assert_eq!(rig_words(&rig), "rig lab (virtual): homed, 4 tips entered");
     }
 }

@@ -175,8 +175,8 @@ impl fmt::Display for Preflight {
             let share = 100.0 * part_s / self.duration_s.max(f64::MIN_POSITIVE);
             writeln!(f, "    {name:<18} {:>12} {share:>6.1} %", duration(part_s))?;
         }
-        let waits = format!("{} times, not in the duration", self.waits_for_person);
-        line(f, "waits for a person", waits)?;
+        let waits = counted(self.waits_for_person, "time", "times");
+        line(f, "waits for a person", format!("{waits}, not in the duration"))?;
         for setting in &self.settings {
             let tips = |count: u8| counted(count.into(), "tip", "tips");
             let name = setting.tips.map_or("manual".into(), tips);

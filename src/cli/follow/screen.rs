@@ -9,10 +9,13 @@ use serde_json::json;
 use tokio::time::Instant;
 
 use crate::campaign::shown::status::{Eta, RunStatus};
-use crate::cli::output::{counted, duration, note, say_json, shown};
+use crate::cli::output::{counted, duration, note, say_json, shown, terminal_width};
 use crate::cli::progress::{PROGRESS_LINES, bar};
 use crate::cli::view::StatusView;
 use crate::state::StoredState;
+
+/// Width of the bar, characters.
+const BAR_COLUMNS: usize = 24;
 
 /// Output: standard error for people, standard output for scripts.
 pub(super) struct Screen {
@@ -29,7 +32,7 @@ pub(super) struct Screen {
 impl Screen {
     pub(super) fn new(json: bool, url: &str) -> Self {
         let terminal = std::io::stderr().is_terminal();
-        let bar = bar("{bar:24} {pos}/{len} {wide_msg}");
+        let bar = bar(&format!("{{bar:{BAR_COLUMNS}}} {{pos}}/{{len}} {{wide_msg}}"));
         Self { bar, terminal, json, url: url.to_owned(), told: None, stored: None }
     }
 
@@ -37,7 +40,11 @@ impl Screen {
         self.bar.set_length(run.trials_planned);
         self.bar.set_position(run.trials_stored + run.trials_skipped);
         let wait = wait_words(run, &self.url);
-        let words = shown(progress_words(run, status, wait.as_deref()));
+        let counts = format!("{}/{}", run.trials_stored + run.trials_skipped, run.trials_planned);
+        let room =
+            terminal_width().map(|width| width.saturating_sub(BAR_COLUMNS + counts.len() + 2));
+        let words = |band| shown(progress_words(run, status, wait.as_deref(), band));
+        let words = fitting(room, words(true), || words(false));
         if !self.terminal && self.is_due(wait.as_deref()) {
             self.told = Some((Instant::now(), wait));
             note(format_args!("{}/{} {words}", run.trials_stored, run.trials_planned));
@@ -92,8 +99,16 @@ fn wait_words(run: &RunStatus, url: &str) -> Option<String> {
     }
 }
 
-/// Progress as text; `wait`: the words for what the run waits for.
-fn progress_words(run: &RunStatus, status: &StatusView, wait: Option<&str>) -> String {
+/// The words, or the short ones if a terminal has no room for them: a cut estimate could be read as another one.
+fn fitting(room: Option<usize>, words: String, short: impl FnOnce() -> String) -> String {
+    match room.is_some_and(|room| words.chars().count() > room) {
+        true => short(),
+        false => words,
+    }
+}
+
+/// Progress as text; `wait`: the words for what the run waits for; `band`: whether the estimate has its band.
+fn progress_words(run: &RunStatus, status: &StatusView, wait: Option<&str>, band: bool) -> String {
     let mut parts = vec![match (wait, run.state) {
         (Some(wait), _) => wait.to_owned(),
         (None, StoredState::Running) => run.phase.as_str().replace('_', "-"),
@@ -102,7 +117,7 @@ fn progress_words(run: &RunStatus, status: &StatusView, wait: Option<&str>) -> S
     if let Some(asked) = &run.requested_state {
         parts.push(format!("-> {asked}"));
     }
-    parts.extend(run.eta.map(|eta| eta_words(&eta)));
+    parts.extend(run.eta.map(|eta| eta_words(&eta, band)));
     if run.trials_skipped > 0 {
         parts.push(format!("{} skipped", run.trials_skipped));
     }
@@ -115,9 +130,10 @@ fn progress_words(run: &RunStatus, status: &StatusView, wait: Option<&str>) -> S
     parts.join(" | ")
 }
 
-fn eta_words(eta: &Eta) -> String {
+fn eta_words(eta: &Eta, band: bool) -> String {
     let (low, high) = (duration(eta.low_s), duration(eta.high_s));
-    format!("done in {} ({low} .. {high})", duration(eta.remaining_s))
+    let band = if band { format!(" ({low} .. {high})") } else { String::new() };
+    format!("done in {}{band}", duration(eta.remaining_s))
 }
 
 /// Largest force, N. Zero has no sign.
@@ -162,9 +178,13 @@ mod tests {
     }
 
     #[test]
-    fn an_estimate_shows_its_band() {
+    fn an_estimate_shows_its_band_where_a_terminal_has_room_for_it() {
         let eta = Eta { remaining_s: 130.0, low_s: 110.0, high_s: 160.0 };
         let shown = "done in 2 min 10 s (1 min 50 s .. 2 min 40 s)";
-        assert_eq!(eta_words(&eta), shown);
+        assert_eq!(eta_words(&eta, true), shown);
+        let words = |room| fitting(room, eta_words(&eta, true), || eta_words(&eta, false));
+        assert_eq!(words(None), shown);
+        assert_eq!(words(Some(shown.len())), shown);
+        assert_eq!(words(Some(shown.len() - 1)), "done in 2 min 10 s");
     }
 }

@@ -29,7 +29,8 @@ const NAME_PX: u32 = 30;
 /// Share of the readings within the colour scale: single large ones do not flatten the image.
 const READINGS_SHARE: f64 = 0.99;
 
-/// Draws trials, one below the other. A frame of 28 x 28 readings has a row per injection.
+/// Draws trials, one below the other. A frame of 28 x 28 readings has a row per injection. Electrodes are counted from
+/// 0, as in tables and messages.
 ///
 /// # Errors
 /// `FigureError` if the plotting backend fails.
@@ -76,25 +77,26 @@ fn image(area: &Area<'_>, name: &str, frame: &[f32], end_mv: f64) -> Drawn {
     let mut chart = framed(area, [8, 40, 50])
         .caption(name, SMALL)
         // The first injection is at the top.
-        .build_cartesian_2d(0.5..columns as f64 + 0.5, rows as f64 + 0.5..0.5)?;
+        .build_cartesian_2d(-0.5..columns as f64 - 0.5, rows as f64 - 0.5..-0.5)?;
     chart
         .configure_mesh()
         .disable_mesh()
-        .x_labels(5)
-        .y_labels(5)
-        .x_label_formatter(&|v| format!("{v:.0}"))
-        .y_label_formatter(&|v| format!("{v:.0}"))
+        .x_labels(6)
+        .y_labels(6)
+        // Zero has no sign.
+        .x_label_formatter(&|v| format!("{:.0}", v + 0.0))
+        .y_label_formatter(&|v| format!("{:.0}", v + 0.0))
         .x_desc("reading")
         .y_desc("injection")
         .label_style(TINY)
         .axis_desc_style(SMALL)
         .draw()?;
     chart.draw_series(frame.iter().enumerate().map(|(at, v)| {
-        let (x, y) = ((at % columns) as f64 + 1.0, (at / columns) as f64 + 1.0);
+        let (x, y) = ((at % columns) as f64, (at / columns) as f64);
         let colour = diverging(1e3 * f64::from(*v) / end_mv);
         Rectangle::new([(x - 0.5, y - 0.5), (x + 0.5, y + 0.5)], colour.filled())
     }))?;
-    let edge = [(0.5, 0.5), (columns as f64 + 0.5, rows as f64 + 0.5)];
+    let edge = [(-0.5, -0.5), (columns as f64 - 0.5, rows as f64 - 0.5)];
     chart.draw_series([Rectangle::new(edge, INK.mix(0.5).stroke_width(1))])?;
     Ok(())
 }
@@ -117,6 +119,7 @@ mod tests {
         for text in ["trial 17", "FVU 0.12", "twin", "injection", "voltage (mV)", "n = 1 trial"] {
             assert!(svg.contains(text), "{text}");
         }
+        assert!(svg.matches("\n0\n").count() >= 6, "both axes of three images begin at 0");
         assert!(!svg.contains("NaN"));
     }
 }

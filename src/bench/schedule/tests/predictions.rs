@@ -121,11 +121,15 @@ fn scripts_find_the_fields_that_the_contract_names() {
 #[test]
 fn people_read_one_thing_on_a_line() {
     let problem = Problem::new("rig.toml", "axes.x.travel_mm", "[0, 9]", "too short");
-    let text = Preflight::of(&small(), &bench(), vec![problem]).to_string();
+    let mut preflight = Preflight::of(&small(), &bench(), vec![problem]);
+    let text = preflight.to_string();
     let lines: Vec<&str> = text.lines().collect();
     assert_eq!(lines[0], "test (real-hex, seed 1)");
     assert_eq!(lines[1], "  trials               264");
     assert_eq!(lines[2], "  configurations       24, 24 distinct");
     assert!(lines.contains(&"  waits for a person   2 times, not in the duration"), "{text}");
     assert_eq!(lines[lines.len() - 1], "    rig.toml: axes.x.travel_mm = [0, 9]: too short");
+    preflight.waits_for_person = 1;
+    let once = "  waits for a person   1 time, not in the duration\n";
+    assert!(preflight.to_string().contains(once), "{preflight}");
 }
