@@ -5,6 +5,7 @@ A rule is an HTML comment on the line before a block, which no reader sees: `<!-
     after quickstart     the page begins with the data of a quickstart (on any block of the page)
     bench                from here on RIG.toml is the rig file of a virtual rig that listens, with its operator
     bench FILE           the same of the rig in this file, without an operator
+    mount N              before the block a person mounts N tips, and plugs in their cells, on the virtual rig of `bench`
     slurm                from here on sbatch, squeue and scancel use a Slurm of one node, this machine
     wait N s             what a person does before the block takes N seconds
     background           the block runs until the page ends; it is ready when it prints a line
@@ -28,7 +29,7 @@ import re
 
 RULE = re.compile(r"<!-- follow: (.*?) -->")
 FENCE = re.compile(r"^(\s*)```\s*(\S*)\s*$")
-WITH_VALUE = {"after", "bench", "exit", "file", "for", "needs", "wait", "with"}
+WITH_VALUE = {"after", "bench", "exit", "file", "for", "mount", "needs", "wait", "with"}
 ALONE = {"bench", "background", "instead", "output", "long", "slurm"}
 UNIT = r" (?:ms|s|min|h)\b(?: \d+ (?:s|min)\b)*"
 VARIABLE = re.compile(rf"(\d+(?:\.\d+)?(?:{UNIT})?|\.\.)")

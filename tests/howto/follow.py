@@ -149,7 +149,7 @@ class Page:
         for name, place in (("CARGO_HOME", ".cargo"), ("RUSTUP_HOME", ".rustup")):
             if (home / place).is_dir():
                 self.environment.setdefault(name, str(home / place))
-        self.printed, self.background = "", []
+        self.printed, self.background, self.control = "", [], ""
 
     def run(self, block: blocks.Block) -> str:
         """Follows a block; returns what happened, in a few words."""
@@ -158,6 +158,8 @@ class Page:
             self.end_background()
         if "bench" in rules:
             self.start_bench(rules["bench"])
+        if "mount" in rules:
+            self.mount(int(rules["mount"]))
         if "output" in rules:
             missing = blocks.missing_line(block.text, self.printed)
             if missing is not None:
@@ -231,8 +233,18 @@ class Page:
         self.background.append(running)
         if not running.ready():
             raise Failed(f"the virtual rig did not start\n{tail(running.output())}")
+        self.control = json.loads(running.lines[0])["control"]
         if not file:
-            self.background.append(Running("", self, [*OPERATOR, json.loads(running.lines[0])["control"]]))
+            self.background.append(Running("", self, [*OPERATOR, self.control]))
+
+    def mount(self, tips: int) -> None:
+        """Mounts tips on the virtual rig, as a person does without being asked by a run."""
+        host, port = self.control.split(":")
+        with socket.create_connection((host, int(port)), START_S) as control, control.makefile("rw") as lines:
+            print(json.dumps({"cmd": "mount", "tips": tips}), file=lines, flush=True)
+            answer = lines.readline()
+        if not json.loads(answer or "{}").get("ok"):
+            raise Failed(f"the virtual rig did not mount {tips} tips: {answer}")
 
     def start_slurm(self) -> None:
         """Starts a Slurm of one node, which the commands of the page find by their environment."""
