@@ -141,13 +141,16 @@ pub fn facts(night: &Night, status: &StatusView, now: &Now, theme: Theme) -> Vec
         let (holder, note) = (one_line(&lock.holder), one_line(&lock.note));
         fact("lock", format!("{holder}: {note} ({})", now.clock(lock.since, "%H:%M")), Look);
     }
-    for suspender in &status.care.suspenders {
+    // The free disk has its line above.
+    let is_shown = |s: &&Suspender| s.name != "disk" || s.since.is_some();
+    for suspender in status.care.suspenders.iter().filter(is_shown) {
         let level = match (suspender.since, suspender.suspends) {
             (None, _) => Routine,
             (Some(_), false) => Look,
             (Some(_), true) => Act,
         };
-        fact(&shortened(&suspender.name), suspender_words(suspender, now), level);
+        let (name, words) = named(&suspender.name, suspender_words(suspender, now));
+        fact(&name, words, level);
     }
     if let Some(words) = status.run.as_ref().and_then(|_| pace(night)) {
         fact("pace", words, Routine);
@@ -252,13 +255,18 @@ fn twins(night: &Night) -> Option<(String, Importance)> {
 }
 
 fn suspender_words(suspender: &Suspender, now: &Now) -> String {
-    let unit = match suspender.unit.as_str() {
+    let shown = |value: f64| match suspender.unit.as_str() {
         // Of a ratio.
-        "" | "1" => String::new(),
+        "" | "1" => number(value),
+        "bytes" => bytes(value),
+        _ => format!("{value:.0}"),
+    };
+    let unit = match suspender.unit.as_str() {
+        "" | "1" | "bytes" => String::new(),
         unit => format!(" {unit}"),
     };
-    let value = suspender.value.map_or("-".into(), number);
-    let threshold = number(suspender.threshold);
+    let value = suspender.value.map_or_else(|| "-".into(), shown);
+    let threshold = shown(suspender.threshold);
     let since = suspender
         .since
         .map_or_else(String::new, |at| format!(", since {}", now.clock(at, "%H:%M")));
@@ -275,10 +283,15 @@ fn number(value: f64) -> String {
     }
 }
 
-/// A name that leaves room for a value.
-fn shortened(name: &str) -> String {
+/// A name that leaves room for a value, and the words; the rest of a longer name precedes them.
+fn named(name: &str, words: String) -> (String, String) {
     let name = one_line(&name.replace('_', " "));
-    name.chars().take(NAME_COLUMNS - 1).collect()
+    match name.split_once(' ') {
+        Some((first, rest)) if name.chars().count() >= NAME_COLUMNS => {
+            (first.chars().take(NAME_COLUMNS - 1).collect(), format!("{rest} {words}"))
+        }
+        _ => (name.chars().take(NAME_COLUMNS - 1).collect(), words),
+    }
 }
 
 /// Returns the line of an event: its time and its words, coloured by level.

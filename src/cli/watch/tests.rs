@@ -158,6 +158,31 @@ fn all_facts_of_the_night_are_on_usual_terminals() {
 }
 
 #[test]
+fn what_is_watched_has_its_unit_and_the_free_disk_is_shown_once() {
+    let watched = |name: &str, value: f64, threshold: f64, unit: &str| {
+        json!({ "name": name, "title": "", "value": value, "threshold": threshold, "unit": unit,
+            "since": null, "suspends": true })
+    };
+    let shown = shown_with(|status| {
+        status["suspenders"] = json!([
+            watched("disk", 3.26e10, 3.07e8, "bytes"),
+            watched("frame_age", 8.604, 2000.0, "ms"),
+            watched("electrode_pairs", 0.662, 1.0, "1"),
+        ]);
+    });
+    for words in ["frame age  9 of 2000 ms", "electrode  pairs 0.662 of 1.000"] {
+        assert!(shown.contains(words), "{words}:\n{shown}");
+    }
+    assert!(!shown.contains("0.31 GB"), "{shown}");
+    let full = shown_with(|status| {
+        let mut disk = watched("disk", 2e8, 3.07e8, "bytes");
+        disk["since"] = "2026-03-01T18:00:00Z".into();
+        status["suspenders"] = json!([disk]);
+    });
+    assert!(full.contains("0.20 GB of 0.31 GB, since "), "{full}");
+}
+
+#[test]
 fn pace_prediction_rates_and_stuck_channels_are_shown() {
     let mut night = night();
     let course = History {
