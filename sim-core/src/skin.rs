@@ -16,6 +16,9 @@ use crate::sensor::Sensor;
 const DECIMALS: f64 = 1e4;
 /// Largest absolute value of a field: the logarithm of a factor beyond the range of materials.
 const LARGEST_LN: f64 = 20.0;
+/// Largest absolute value of ln of the sheet's conductance along x over that along y: resistors of the mesh's triangles
+/// become negative from ln 3 on.
+pub const LARGEST_ANISOTROPY_LN: f64 = 1.0;
 
 /// Rounds a value to the four decimals of a calibration.
 pub fn rounded(value: f64) -> f64 {
@@ -157,9 +160,14 @@ pub struct SkinFields {
     pub ln_compliance: SkinField,
     /// Factor on the sheet's conductance: on the geometric mean of those along x and y.
     pub ln_sheet_conductance: SkinField,
-    /// Natural logarithm of the sheet's conductance along x over that along y. Earlier files have none: 0.
-    #[serde(default)]
+    /// Natural logarithm of the sheet's conductance along x over that along y. Files of an isotropic sheet, as all
+    /// earlier ones, do not have it: their content's id stays.
+    #[serde(default, skip_serializing_if = "is_isotropic")]
     pub ln_sheet_anisotropy: f64,
+}
+
+fn is_isotropic(ln_sheet_anisotropy: &f64) -> bool {
+    *ln_sheet_anisotropy == 0.0
 }
 
 impl SkinFields {
@@ -328,6 +336,10 @@ impl SkinCalibration {
             if let Some(wrong) = field.values.iter().find(|v| v.is_nan() || v.abs() > LARGEST_LN) {
                 return Err(bad(&name, wrong, "must be the logarithm of a factor, -20 to 20"));
             }
+        }
+        let anisotropy = self.fields.ln_sheet_anisotropy;
+        if anisotropy.is_nan() || anisotropy.abs() > LARGEST_ANISOTROPY_LN {
+            return Err(bad("fields.ln_sheet_anisotropy", anisotropy, "must be -1 to 1"));
         }
         let foam = &self.fields.foam;
         if let Some(wrong) = foam.ln_slopes.iter().find(|v| v.is_nan() || v.abs() > LARGEST_LN) {

@@ -117,6 +117,7 @@ fn wrong_values_of_a_skin_are_named() {
     };
     said(&|s| s.fields.ln_a.columns = 3, "skin.fields.ln_a = 4 values in 3 columns: ");
     said(&|s| s.fields.ln_b.values[1] = f64::NAN, "skin.fields.ln_b = NaN: ");
+    said(&|s| s.fields.ln_sheet_anisotropy = -1.1, "skin.fields.ln_sheet_anisotropy = -1.1: ");
     said(&|s| s.fields.foam.step_mm = 0.0, "skin.fields.foam.step_mm = 0: ");
     said(&|s| s.fields.foam.ln_slopes[2] = 50.0, "skin.fields.foam.ln_slopes = 50: ");
     said(&|s| s.electrodes.lead_ohm[4] = -1.0, "skin.electrodes.lead_ohm = -1: ");
@@ -131,6 +132,10 @@ fn the_id_is_of_the_content_and_stays_what_it_is() {
     // Existing files contain it: a change of this number is a change of the format.
     assert_eq!(piezo().id().unwrap(), "cal-c5258dd7737cff82");
     assert_ne!(piezo().id().unwrap(), foam().id().unwrap());
+    let mut isotropic = skin();
+    isotropic.skin.as_mut().unwrap().fields.ln_sheet_anisotropy = 0.0;
+    let text = isotropic.to_toml().unwrap();
+    assert!(!text.contains("anisotropy") && Calibration::from_toml(&text).unwrap() == isotropic);
     let edited = piezo().to_toml().unwrap().replace("1.5", "1.6");
     assert!(matches!(Calibration::from_toml(&edited), Err(CalibrationError::Id { .. })));
 }

@@ -10,6 +10,7 @@ use sim_core::forward::Workspace;
 use sim_core::network::kron::{KronReduction, KronWork};
 use sim_core::network::readout::ReadoutWork;
 use sim_core::network::{ElectrodeError, Resistor, SheetNetwork};
+use sim_core::skin::LARGEST_ANISOTROPY_LN;
 
 use super::{model, point_at, press};
 
@@ -210,7 +211,11 @@ fn an_anisotropic_sheet_conducts_along_each_axis_as_stated() {
         let found = power(along);
         assert!((found / expected - 1.0).abs() < 1e-12, "{along:?}: {found:e}");
     }
-    assert!(network.resistors.iter().all(|r| r.conductance_s > 0.0));
+    for ln in [-LARGEST_ANISOTROPY_LN, LARGEST_ANISOTROPY_LN] {
+        let sheet = vec![[1e-4 * ln.exp(), 1e-4]; m.mesh().triangles.len()];
+        let network = SheetNetwork::new(m.mesh(), &sheet, m.circuit()).unwrap();
+        assert!(network.resistors.iter().all(|r| r.conductance_s > 0.0), "{ln}");
+    }
 }
 
 #[test]

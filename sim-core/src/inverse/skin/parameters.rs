@@ -24,7 +24,10 @@ use crate::mesh::Mesh;
 use crate::network::Resistor;
 use crate::responses::UnitResponses;
 use crate::sensor::Sensor;
-use crate::skin::{FieldPrior, SkinElectrodes, SkinField, SkinFields, SkinFoam, SkinGrid, rounded};
+use crate::skin::{
+    FieldPrior, LARGEST_ANISOTROPY_LN, SkinElectrodes, SkinField, SkinFields, SkinFoam, SkinGrid,
+    rounded,
+};
 
 /// Added to the prior variance of a field, as a share: otherwise the covariance of neighbouring
 /// corners has no inverse in f64.
@@ -274,6 +277,11 @@ impl Parameters {
         Ok(self.sensor.electrodes_mm().iter().map(around).collect())
     }
 
+    /// The sheet's anisotropy, limited to what the mesh can have.
+    fn anisotropy_of(&self, vector: &[f64]) -> f64 {
+        vector[self.anisotropy].clamp(-LARGEST_ANISOTROPY_LN, LARGEST_ANISOTROPY_LN)
+    }
+
     /// Electrode sites; moves are limited to the skin.
     fn sites(&self, vector: &[f64]) -> Vec<ElectrodeSite> {
         let file = &self.sensor.file;
@@ -306,7 +314,7 @@ impl Parameters {
             ln_c,
             ln_compliance,
             ln_sheet_conductance,
-            ln_sheet_anisotropy: vector[self.anisotropy],
+            ln_sheet_anisotropy: self.anisotropy_of(vector),
             displacement: Some(self.foam(vector).law().map_err(ModelError::from)?),
         };
         let responses = Arc::clone(&self.responses);
@@ -389,7 +397,7 @@ impl Parameters {
             ln_c,
             ln_compliance,
             ln_sheet_conductance,
-            ln_sheet_anisotropy: rounded(vector[self.anisotropy]),
+            ln_sheet_anisotropy: rounded(self.anisotropy_of(vector)),
         }
     }
 
