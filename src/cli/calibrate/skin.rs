@@ -239,6 +239,10 @@ fn answer(
     let (before, after) = (&evidence.before, &evidence.after);
     say(format_args!("  FVU held out, median: {:.4} -> {:.4}", before.median, after.median));
     say(format_args!("  FVU held out, mean:   {:.4} -> {:.4}", before.mean, after.mean));
+    let along = skin.fields.ln_sheet_anisotropy.exp();
+    say(format_args!(
+        "  sheet:                conducts {along:.2} times as well along x as along y"
+    ));
     if evidence.doubted > 0 {
         let doubted = counted(evidence.doubted as u64, "trial", "trials");
         say(format_args!("  {doubted} with a weight below one half: outliers"));

@@ -33,9 +33,13 @@ pub fn skin(sensor: &Sensor, fitted: &CalibratedSkin) -> Result<String, Calibrat
         "Skin fitted to run {}: held-out FVU {:.3} -> {:.3} (median)",
         evidence.run, evidence.before.median, evidence.after.median
     );
-    let heading = Heading::new(title, evidence.trials as u64, "trials", &evidence.label).with_note(
-        "Fields: logarithm of the fitted over the nominal value, white 0; rings: nominal electrodes, dots: fitted ones",
+    let along = fitted.skin.fields.ln_sheet_anisotropy.exp();
+    let note = format!(
+        "Fields: logarithm of the fitted over the nominal value, white 0; rings: nominal electrodes, dots: fitted ones; \
+         the sheet conducts {along:.2} times as well along x as along y"
     );
+    let heading = Heading::new(title, evidence.trials as u64, "trials", &evidence.label);
+    let heading = heading.with_note(note);
     let panel = Outline::of(sensor).panel(SKIN_PX);
     let size = PageSize { width_px: 3 * panel.width_px, height_px: 2 * panel.height_px };
     figure(size, &heading, |area| draw(area, sensor, fitted)).map_err(CalibrateError::Plot)

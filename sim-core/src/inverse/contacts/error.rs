@@ -18,6 +18,9 @@ const LEAST_SIGNAL: f64 = 3.0;
 /// Typical relative error of a model: pairs with a larger noise get a small weight.
 const USUAL_ERROR: f64 = 0.1;
 
+/// Number of parts into which errors are divided for the variance along their directions.
+const PARTS: usize = 5;
+
 /// Why an error model is invalid.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[allow(missing_docs, reason = "the message names the fields")]
@@ -147,20 +150,20 @@ impl ErrorModel {
         // The Gram matrix has the covariance's eigenvalues, and its vectors mix the errors into
         // the covariance's.
         let gram = Mat::from_fn(count, count, |i, j| dot(&errors[i], &errors[j]) / count as f64);
-        let eigen =
-            gram.self_adjoint_eigen(Side::Lower).map_err(|_| ErrorModelError::Eigenvalues)?;
-        let (values, vectors) = (eigen.S(), eigen.U());
+        let (values, vectors) = eigenvectors(&gram)?;
+        let others = variances_in_others(&gram, rank)?;
         let per_channel = noise / channels as f64;
-        let trace: f64 = (0..count).map(|i| values[i]).sum();
+        let trace: f64 = values.iter().sum();
         let mut explained = 0.0;
         self.modes.clear();
-        for column in (0..count).rev().take(rank) {
+        for (column, &variance) in (0..count).rev().zip(&others) {
             let value = values[column];
-            explained += value;
-            if value <= per_channel {
+            let own = variance.min(value) - per_channel;
+            if own <= 0.0 {
                 continue;
             }
-            let scale = ((value - per_channel) / (value * count as f64)).sqrt();
+            explained += own;
+            let scale = (own / (value * count as f64)).sqrt();
             let mut mode = vec![0.0; channels];
             for (row, error) in errors.iter().enumerate() {
                 let weight = scale * vectors[(row, column)];
@@ -168,8 +171,7 @@ impl ErrorModel {
             }
             self.modes.push(mode);
         }
-        let rest = trace - explained - noise * (1.0 - rank as f64 / channels as f64);
-        self.floor = rest.max(0.0).sqrt();
+        self.floor = (trace - noise - explained).max(0.0).sqrt();
         Ok(())
     }
 
@@ -183,4 +185,36 @@ impl ErrorModel {
         let modes: f64 = self.modes.iter().flatten().map(|m| m * m).sum();
         (modes + self.floor * self.floor).sqrt()
     }
+}
+
+/// Eigenvalues, the smallest first, and eigenvectors of a Gram matrix.
+fn eigenvectors(gram: &Mat<f64>) -> Result<(Vec<f64>, Mat<f64>), ErrorModelError> {
+    let eigen = gram.self_adjoint_eigen(Side::Lower).map_err(|_| ErrorModelError::Eigenvalues)?;
+    Ok((eigen.S().column_vector().iter().copied().collect(), eigen.U().to_owned()))
+}
+
+/// Variance along the `rank` strongest directions in errors that did not determine them: the errors are divided into
+/// [`PARTS`] parts in their order, and each is projected on the directions of the others. Noise alone has strong
+/// directions in its own frames, and none in others.
+fn variances_in_others(gram: &Mat<f64>, rank: usize) -> Result<Vec<f64>, ErrorModelError> {
+    let count = gram.nrows();
+    let mut sums = vec![0.0; rank];
+    for part in 0..PARTS {
+        let (own, others): (Vec<usize>, Vec<usize>) =
+            (0..count).partition(|i| i * PARTS / count == part);
+        let among = Mat::from_fn(others.len(), others.len(), |i, j| gram[(others[i], others[j])]);
+        let (values, vectors) = eigenvectors(&among)?;
+        for (column, sum) in (0..others.len()).rev().zip(&mut sums) {
+            if values[column] <= 0.0 {
+                continue;
+            }
+            for &j in &own {
+                let along =
+                    others.iter().enumerate().map(|(i, &o)| vectors[(i, column)] * gram[(o, j)]);
+                // The Gram matrix is divided by the number of errors.
+                *sum += along.sum::<f64>().powi(2) / values[column];
+            }
+        }
+    }
+    Ok(sums)
 }
