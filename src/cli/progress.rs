@@ -243,7 +243,7 @@ mod tests {
 
     #[test]
     fn a_rate_has_the_digits_that_matter() {
-        assert_eq!([0.0, 2.46, 35_930.3744].map(rate_words), ["0.0/s", "2.5/s", "35,930/s"]);
+        assert_eq!([0.0, 2.46, 35_930.37].map(rate_words), ["0.0/s", "2.5/s", "35,930/s"]);
     }
 
     #[tokio::test]

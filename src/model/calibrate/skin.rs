@@ -141,7 +141,7 @@ pub struct CalibratedSkin {
     pub after: Vec<f64>,
     /// Number of fitted parameters.
     pub parameters: usize,
-    /// Cost before the first step and after each.
+    /// Cost before the first step and after each that was kept; it may rise where electrodes were moved.
     pub costs: Vec<f64>,
 }
 

@@ -124,7 +124,7 @@ pub async fn keep(app: App) {
             let making = async {
                 let made = app.datasets.make(&Definition::of_run(run.scan_id)).await.err();
                 let is_tried_again = handled.note(this, made.as_ref());
-                let Some(failed) = made else { return };
+                let Some(failed) = made else { return false };
                 let error = error_chain(&failed);
                 if is_tried_again {
                     let words = "the dataset of an ended run is made later";
@@ -132,8 +132,12 @@ pub async fn keep(app: App) {
                 } else {
                     tracing::info!(error, "the dataset of an ended run was not made");
                 }
+                is_tried_again
             };
-            making.instrument(run_span(run.uid, run.scan_id)).await;
+            if making.instrument(run_span(run.uid, run.scan_id)).await {
+                // Its tries must not be used up in seconds.
+                soon = 0;
+            }
         }
     }
 }

@@ -64,8 +64,10 @@ impl Conductor {
     /// What was left, without what a person has started in this process: that waits as it is, and no earlier run is
     /// driven again.
     fn still_left(&self, (mut taken, since): Left, active: Option<RunUid>) -> Left {
-        taken.waiting.retain(|run| !self.waiting().contains(&run.uid));
-        taken.dropped.retain(|(run, _)| !self.waiting().contains(&run.uid));
+        let begun = self.inner.begun.lock().clone();
+        let started = |run: RunUid| self.waiting().contains(&run) || begun.contains(&run);
+        taken.waiting.retain(|run| !started(run.uid));
+        taken.dropped.retain(|(run, _)| !started(run.uid));
         let driven = taken.driven.filter(|_| active.is_none());
         let since = since.filter(|_| driven.is_some());
         (TakenOver { driven, ..taken }, since)

@@ -6,6 +6,7 @@
 //! a trial's misfit: the pull of a bad frame does not exceed that of one at the edge. Trials are
 //! added in their order: the result does not depend on the number of threads.
 
+mod descent;
 mod frame;
 mod parameters;
 mod places;
@@ -15,9 +16,6 @@ mod tests;
 
 use std::sync::Arc;
 
-use faer::linalg::solvers::Solve;
-use faer::{Mat, Side};
-
 use crate::forward::{Contact, ContactError, ContactResult, ForwardModel, ModelError, Workspace};
 use crate::jacobian::Field;
 use crate::mesh::Mesh;
@@ -26,19 +24,17 @@ use crate::sensor::Sensor;
 use crate::skin::{FieldPrior, FvuSummary, SkinElectrodes, SkinFields, rounded};
 use crate::stats::{fvu, quantile, sorted, upper_quantile};
 
+use descent::{Start, Step, descended};
 use parameters::Parameters;
-use sweep::{Misfits, Sweep};
+use sweep::Sweep;
 
 /// The fit ends after a step that lowers the cost by less than this share.
 const ENOUGH: f64 = 2e-3;
+/// Electrode positions are searched after a step that lowers the cost by less than this share.
+const NEARLY: f64 = 2e-2;
 /// How often electrode positions are searched, each time after the other parameters have converged: a search among
 /// inaccurate parameters ends with electrodes that are displaced for good.
 const PLACINGS: usize = 3;
-/// Largest change of ln of an electrode's resistance in a step: voltages are linear in the
-/// resistance itself, so that the logarithm of a loose electrode would diverge to an open circuit.
-const RESISTANCE_STEP: f64 = 1.0;
-/// Damping above which a step is not worth its pass.
-const MOST_DAMPING: f64 = 1e3;
 /// Lower limit of the noise, V: a converter's step.
 const LEAST_NOISE_V: f64 = 1e-5;
 
@@ -246,7 +242,7 @@ pub struct SkinFit {
     pub offsets_mv: Vec<f64>,
     /// Number of fitted parameters.
     pub parameters: usize,
-    /// Cost before the first step and after each.
+    /// Cost before the first step and after each that was kept; it may rise where electrodes were moved.
     pub costs: Vec<f64>,
     /// Indices of the trials with contacts whose weight is below one half.
     pub doubted: Vec<usize>,
@@ -288,18 +284,23 @@ pub fn fit(
         offsets_v: vec![0.0; sensor.channels()],
     };
     let mut costs = Vec::new();
-    let mut best = descended(&mut sweep, start, &mut costs)?;
+    let mut best = descended(&mut sweep, start, NEARLY, &mut costs)?;
     for _ in 0..PLACINGS {
         let Some(there) = best.as_ref().map_or(Ok(None), |best| best.placed(&mut sweep))? else {
             break;
         };
         let mut after = costs.clone();
-        let moved = descended(&mut sweep, there, &mut after)?;
+        let moved = descended(&mut sweep, there, NEARLY, &mut after)?;
         let is_better = |(moved, best): (&Step, &Step)| moved.is_better(best, &parameters);
         if !moved.as_ref().zip(best.as_ref()).is_some_and(is_better) {
             break;
         }
         (best, costs) = (moved, after);
+    }
+    if let Some(found) = &best
+        && let Some(last) = descended(&mut sweep, found.start(), ENOUGH, &mut costs)?
+    {
+        best = Some(last);
     }
     let (vector, offsets_v, factors) = match best {
         Some(best) => (best.vector, best.offsets_v, best.factors),
@@ -316,129 +317,6 @@ pub fn fit(
         costs,
         doubted: doubted.collect(),
     })
-}
-
-/// Where a descent begins.
-struct Start {
-    vector: Vec<f64>,
-    model: ForwardModel,
-    offsets_v: Vec<f64>,
-}
-
-/// A step that lowered the cost.
-struct Step {
-    vector: Vec<f64>,
-    model: ForwardModel,
-    there: Misfits,
-    /// Offsets estimated from its residuals, V.
-    offsets_v: Vec<f64>,
-    /// Weight of each trial, 0 to 1.
-    factors: Vec<f64>,
-    edge: f64,
-    before: f64,
-    after: f64,
-    damping: f64,
-}
-
-impl Step {
-    /// Whether the step has a lower cost than another, with the other's edge of doubt.
-    fn is_better(&self, other: &Self, parameters: &Parameters) -> bool {
-        let cost = |s: &Self| s.there.cost(other.edge) + parameters.prior_cost(&s.vector);
-        cost(self) < cost(other)
-    }
-
-    /// The same skin with electrodes moved to where they fit best; `None` if none moves.
-    fn placed(&self, sweep: &mut Sweep<'_>) -> Result<Option<Start>, SkinFitError> {
-        let Self { vector, model, offsets_v, factors, .. } = self;
-        let Some(vector) = places::placed(sweep, model, offsets_v, factors, vector)? else {
-            return Ok(None);
-        };
-        let model = sweep.parameters().model(&vector)?;
-        Ok(Some(Start { vector, model, offsets_v: offsets_v.clone() }))
-    }
-}
-
-/// The last of the steps from a start that each lower the cost by more than [`ENOUGH`]; `None` if none lowers it.
-/// Costs are appended.
-fn descended(
-    sweep: &mut Sweep<'_>,
-    start: Start,
-    costs: &mut Vec<f64>,
-) -> Result<Option<Step>, SkinFitError> {
-    let Start { mut vector, mut model, mut offsets_v } = start;
-    let (mut last, mut damping): (Option<Step>, f64) = (None, 0.0);
-    while sweep.begin(costs.last().copied()) {
-        let Some(next) = stepped(sweep, &vector, &model, &offsets_v, damping)? else { break };
-        if costs.is_empty() {
-            costs.push(next.before);
-        }
-        costs.push(next.after);
-        (vector, model, offsets_v) =
-            (next.vector.clone(), next.model.clone(), next.offsets_v.clone());
-        damping = next.damping;
-        let ends = next.before - next.after < ENOUGH * next.before;
-        last = Some(next);
-        if ends {
-            break;
-        }
-    }
-    Ok(last)
-}
-
-/// The Gauss-Newton step from a vector, shortened as needed; `None` if none lowers the cost.
-fn stepped(
-    sweep: &mut Sweep<'_>,
-    vector: &[f64],
-    model: &ForwardModel,
-    offsets_v: &[f64],
-    mut damping: f64,
-) -> Result<Option<Step>, SkinFitError> {
-    let parameters = sweep.parameters();
-    let here = sweep.misfits(model, offsets_v)?;
-    let edge = here.edge();
-    let factors = here.factors(edge);
-    let before = here.cost(edge) + parameters.prior_cost(vector);
-    let (normal, pull) = sweep.normal(model, offsets_v, &factors)?;
-    while damping < MOST_DAMPING {
-        let move_by = solve(parameters, &normal, &pull, vector, damping)
-            .ok_or(SkinFitError::Normal { step: sweep.step() })?;
-        let next: Vec<f64> = vector.iter().zip(&move_by).map(|(v, d)| v + d).collect();
-        let model = parameters.model(&next)?;
-        let there = sweep.misfits(&model, offsets_v)?;
-        let after = there.cost(edge) + parameters.prior_cost(&next);
-        if after < before {
-            let damping = if damping < 1e-3 { 0.0 } else { 0.1 * damping };
-            let (vector, offsets_v) = (next, there.offsets_v(sweep.offset_sd_v()));
-            let step =
-                Step { vector, model, there, offsets_v, factors, edge, before, after, damping };
-            return Ok(Some(step));
-        }
-        damping = f64::max(10.0 * damping, 1e-2);
-    }
-    Ok(None)
-}
-
-/// Solves `(J'WJ + P + damping diag) d = J'Wr - P x`.
-fn solve(
-    parameters: &Parameters,
-    normal: &Mat<f64>,
-    pull: &[f64],
-    vector: &[f64],
-    damping: f64,
-) -> Option<Vec<f64>> {
-    let mut whole = normal + &parameters.precision;
-    for i in 0..whole.nrows() {
-        whole[(i, i)] *= 1.0 + damping;
-    }
-    let mut prior = parameters.prior_pull(vector);
-    // Positions are searched, not stepped.
-    prior[parameters.places_at()].fill(0.0);
-    let right = Mat::from_fn(pull.len(), 1, |i, _| pull[i] - prior[i]);
-    let factor = whole.llt(Side::Lower).ok()?;
-    let step = factor.solve(&right);
-    let resistances = parameters.places_at().end;
-    let bound = |i: usize| if i < resistances { f64::INFINITY } else { RESISTANCE_STEP };
-    Some((0..pull.len()).map(|i| step[(i, 0)].clamp(-bound(i), bound(i))).collect())
 }
 
 fn check(sensor: &Sensor, trials: &[MeasuredTrial]) -> Result<(), SkinFitError> {
