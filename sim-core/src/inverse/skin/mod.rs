@@ -31,10 +31,10 @@ use sweep::Sweep;
 /// The fit ends after a step that lowers the cost by less than this share.
 const ENOUGH: f64 = 2e-3;
 /// Electrode positions are searched after a step that lowers the cost by less than this share.
-const NEARLY: f64 = 2e-2;
+const NEARLY: f64 = 5e-2;
 /// How often electrode positions are searched, each time after the other parameters have converged: a search among
 /// inaccurate parameters ends with electrodes that are displaced for good.
-const PLACINGS: usize = 3;
+const PLACINGS: usize = 5;
 /// Lower limit of the noise, V: a converter's step.
 const LEAST_NOISE_V: f64 = 1e-5;
 

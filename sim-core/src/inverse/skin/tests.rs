@@ -194,7 +194,7 @@ fn the_step_goes_along_the_costs_gradient() {
 fn a_skin_of_the_family_is_found() {
     let Recovered { medians: [before, after], alike, placed, anisotropy } =
         recovered(120, 60.0, 0.02);
-    assert!(after < 0.1 * before, "{before} -> {after}");
+    assert!(after < 0.12 * before, "{before} -> {after}");
     assert!(alike > 0.95, "conductance: {alike}");
     assert!(placed[1] >= placed[0] + 6, "{placed:?} of 28 electrodes");
     assert!((anisotropy - ANISOTROPY).abs() < 0.03, "{anisotropy}");
