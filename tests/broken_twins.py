@@ -24,7 +24,8 @@ TWINS = {
         "    let _ = control.flush().await;\n    control.phase(Phase::Raise);\n    let began",
         ["while_the_store_hangs"]),
     "no raise": (
-        SAFE_END, "(stopped, raise(estop, stage, height).await)", "(stopped, (Tips::Raised, None))",
+        SAFE_END, "(stopped, raise(estop, stage, height, &Cell::default()).await)",
+        "(stopped, (Tips::Raised, None))",
         ["over_force_raises", "a_module_that_repeats", "a_panic_in_contact", "a_service_told_to_end"]),
     "no stop of x, y and the radius": (
         SAFE_END, "join_all(lateral.map(|axis| stop(axis.as_ref(), began)))",
