@@ -45,6 +45,9 @@ impl Step {
     }
 
     /// The same skin with electrodes moved to where they fit best; `None` if none moves.
+    ///
+    /// # Errors
+    /// `SkinFitError` if a contact or the moved skin is invalid, or the normal equations have no solution.
     pub fn placed(&self, sweep: &mut Sweep<'_>) -> Result<Option<Start>, SkinFitError> {
         let Self { vector, model, offsets_v, factors, .. } = self;
         let Some(vector) = places::placed(sweep, model, offsets_v, factors, vector)? else {
@@ -63,6 +66,9 @@ impl Step {
 
 /// The last of the steps from a start, up to the first that lowers the cost by less than the share `ends`; `None` if none
 /// lowers it. Costs are appended.
+///
+/// # Errors
+/// `SkinFitError` if a contact or a skin on the way is invalid, or a step has no solution.
 pub(super) fn descended(
     sweep: &mut Sweep<'_>,
     start: Start,
