@@ -6,7 +6,7 @@ import views
 from person import URL, a_viewer, api, seen_as
 
 MORE_THAN_VIEWER = "[data-role=operator]:visible, [data-role=admin]:visible"
-ANSWER_MS, ANSWER_MOST_MS, PRESS_MS = 150, 500, 3000
+ANSWER_MS, ANSWER_MOST_MS, PRESS_MS, CONFIRM_MS = 150, 500, 3000, 15_000
 # In the page: the name of the first button that is not among those and can be pressed, kept as `nextButton`. A name is
 # the text under the heading of its part. Forget makes an admin of this machine of the viewer.
 NEXT = """done => {
@@ -85,11 +85,15 @@ def answered(page, waiting):
 
 
 def answer_dialogs(page, waiting):
-    """Confirms what is asked; a dialog that asks nothing is closed."""
+    """Confirms what is asked; a dialog that asks nothing is closed. One may close by itself: what it asks about has ended."""
     for _ in range(3):
         dialog = page.locator("dialog[open]")
         if not dialog.count():
             return
         confirm = dialog.locator("button.main")
-        confirm.first.click() if confirm.count() else page.keyboard.press("Escape")
+        try:
+            confirm.first.click(timeout=CONFIRM_MS) if confirm.count() else page.keyboard.press("Escape")
+        except Error:
+            if dialog.count():
+                raise
         answered(page, waiting)
