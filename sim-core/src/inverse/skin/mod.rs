@@ -26,7 +26,7 @@ use crate::stats::{fvu, quantile, sorted, upper_quantile};
 
 use descent::{Start, Step, descended};
 use parameters::Parameters;
-use sweep::Sweep;
+use sweep::{Sweep, most_done};
 
 /// The fit ends after a step that lowers the cost by less than this share.
 const ENOUGH: f64 = 2e-3;
@@ -35,6 +35,8 @@ const NEARLY: f64 = 5e-2;
 /// How often electrode positions are searched, each time after the other parameters have converged: a search among
 /// inaccurate parameters ends with electrodes that are displaced for good.
 const PLACINGS: usize = 5;
+/// From this number of trials on, a fit begins at the end of a coarser one.
+const MANY_TRIALS: usize = 1000;
 /// Lower limit of the noise, V: a converter's step.
 const LEAST_NOISE_V: f64 = 1e-5;
 
@@ -161,7 +163,7 @@ pub struct SkinFitOptions {
     pub errors: TrialErrors,
     /// Largest distance between corners of the finest fields, mm; see [`spacing_mm`].
     pub spacing_mm: f64,
-    /// Largest number of Gauss-Newton steps in all.
+    /// Largest number of Gauss-Newton steps of each fit in the series.
     pub steps: usize,
     /// Number of threads; the result does not depend on it.
     pub threads: usize,
@@ -242,7 +244,8 @@ pub struct SkinFit {
     pub offsets_mv: Vec<f64>,
     /// Number of fitted parameters.
     pub parameters: usize,
-    /// Cost before the first step and after each that was kept; it may rise where electrodes were moved.
+    /// Cost of the fit of all trials before its first step and after each that was kept; it may rise where electrodes were
+    /// moved.
     pub costs: Vec<f64>,
     /// Indices of the trials with contacts whose weight is below one half.
     pub doubted: Vec<usize>,
@@ -276,38 +279,32 @@ pub fn fit(
     progress: &mut dyn FnMut(SkinProgress),
 ) -> Result<SkinFit, SkinFitError> {
     check(sensor, trials)?;
-    let parameters = Parameters::new(sensor, responses, options.prior, options.spacing_mm)?;
-    let mut sweep = Sweep::new(&parameters, trials, options, progress);
-    let start = Start {
-        model: parameters.model(&vec![0.0; parameters.len()])?,
-        vector: vec![0.0; parameters.len()],
-        offsets_v: vec![0.0; sensor.channels()],
-    };
-    let mut costs = Vec::new();
-    let mut best = descended(&mut sweep, start, NEARLY, &mut costs)?;
-    for _ in 0..PLACINGS {
-        let Some(there) = best.as_ref().map_or(Ok(None), |best| best.placed(&mut sweep))? else {
-            break;
+    let strides = strides(trials.len());
+    let steps = strides.len() * options.steps;
+    let total = strides.iter().map(|s| most_done(trials.len().div_ceil(*s), options)).sum();
+    let mut at = SkinProgress { step: 0, steps, cost: None, done: 0, total };
+    let mut coarser: Option<(Parameters, End)> = None;
+    for stride in strides {
+        let few: Vec<MeasuredTrial> = trials.iter().step_by(stride).cloned().collect();
+        let spacing_mm = options.spacing_mm.max(spacing_mm(few.len()));
+        let parameters =
+            Parameters::new(sensor, Arc::clone(&responses), options.prior, spacing_mm)?;
+        let (vector, offsets_v) = match coarser {
+            Some((from, end)) => (parameters.refined(&from, &end.vector), end.offsets_v),
+            None => (vec![0.0; parameters.len()], vec![0.0; sensor.channels()]),
         };
-        let mut after = costs.clone();
-        let moved = descended(&mut sweep, there, NEARLY, &mut after)?;
-        let is_better = |(moved, best): (&Step, &Step)| moved.is_better(best, &parameters);
-        if !moved.as_ref().zip(best.as_ref()).is_some_and(is_better) {
-            break;
-        }
-        (best, costs) = (moved, after);
+        let start = Start { model: parameters.model(&vector)?, vector, offsets_v };
+        let (step, done) = (at.step, at.done);
+        let mut shown = |p: SkinProgress| {
+            at = SkinProgress { step: step + p.step, done: done + p.done, cost: p.cost, ..at };
+            progress(at);
+        };
+        let end = search(&mut Sweep::new(&parameters, &few, options, &mut shown), start)?;
+        (at.step, at.done) = (step + options.steps, done + most_done(few.len(), options));
+        coarser = Some((parameters, end));
     }
-    if let Some(found) = &best
-        && let Some(last) = descended(&mut sweep, found.start(), ENOUGH, &mut costs)?
-    {
-        best = Some(last);
-    }
-    let (vector, offsets_v, factors) = match best {
-        Some(best) => (best.vector, best.offsets_v, best.factors),
-        None => {
-            (vec![0.0; parameters.len()], vec![0.0; sensor.channels()], vec![1.0; trials.len()])
-        }
-    };
+    let (parameters, End { vector, offsets_v, factors, costs }) =
+        coarser.expect("the last stride is 1");
     let doubted = (0..trials.len()).filter(|&i| factors[i] < 0.5 && !trials[i].contacts.is_empty());
     Ok(SkinFit {
         fields: parameters.skin_fields(&vector),
@@ -316,6 +313,55 @@ pub fn fit(
         parameters: parameters.len(),
         costs,
         doubted: doubted.collect(),
+    })
+}
+
+/// Which trials each of a series of fits takes: one of so many, first the fewest. A fit of many trials begins where that of
+/// a quarter of them, with coarser fields, has ended.
+fn strides(trials: usize) -> Vec<usize> {
+    let mut strides = vec![1];
+    while trials / strides[0] >= MANY_TRIALS {
+        strides.insert(0, 4 * strides[0]);
+    }
+    strides
+}
+
+/// Where a search has ended.
+struct End {
+    vector: Vec<f64>,
+    offsets_v: Vec<f64>,
+    /// Weight of each trial, 0 to 1.
+    factors: Vec<f64>,
+    costs: Vec<f64>,
+}
+
+/// Descends from a start, moves electrodes while this ends better, and descends to the end.
+fn search(sweep: &mut Sweep<'_>, start: Start) -> Result<End, SkinFitError> {
+    let (vector, offsets_v) = (start.vector.clone(), start.offsets_v.clone());
+    let mut costs = Vec::new();
+    let mut best = descended(sweep, start, NEARLY, &mut costs)?;
+    for _ in 0..PLACINGS {
+        let Some(there) = best.as_ref().map_or(Ok(None), |best| best.placed(sweep))? else {
+            break;
+        };
+        let mut after = costs.clone();
+        let moved = descended(sweep, there, NEARLY, &mut after)?;
+        let parameters = sweep.parameters();
+        let is_better = |(moved, best): (&Step, &Step)| moved.is_better(best, parameters);
+        if !moved.as_ref().zip(best.as_ref()).is_some_and(is_better) {
+            break;
+        }
+        (best, costs) = (moved, after);
+    }
+    if let Some(found) = &best
+        && let Some(last) = descended(sweep, found.start(), ENOUGH, &mut costs)?
+    {
+        best = Some(last);
+    }
+    let factors = vec![1.0; sweep.trials().len()];
+    Ok(match best {
+        Some(Step { vector, offsets_v, factors, .. }) => End { vector, offsets_v, factors, costs },
+        None => End { vector, offsets_v, factors, costs },
     })
 }
 

@@ -134,6 +134,21 @@ impl Parameters {
         self.first_electrode + OF_ELECTRODES * self.electrodes
     }
 
+    /// The vector of the skin that `vector` is with coarser fields.
+    pub fn refined(&self, coarser: &Self, vector: &[f64]) -> Vec<f64> {
+        let mut refined = vector[..LAW_PIECES].to_vec();
+        for (block, from) in self.blocks.iter().zip(&coarser.blocks) {
+            let values = &vector[from.at.clone()];
+            for corner in 0..block.at.len() {
+                let place_mm = block.place_mm(&self.sensor, corner);
+                let around = from.grid.weights(&self.sensor, place_mm);
+                refined.push(around.iter().map(|&(c, w)| w * values[c]).sum());
+            }
+        }
+        refined.extend(&vector[coarser.anisotropy..]);
+        refined
+    }
+
     /// Contribution of the prior to the cost.
     pub fn prior_cost(&self, vector: &[f64]) -> f64 {
         let pull = self.prior_pull(vector);

@@ -102,6 +102,11 @@ impl Misfits {
     }
 }
 
+/// How often trials are processed if a fit takes all its steps.
+pub(super) fn most_done(trials: usize, options: &SkinFitOptions) -> usize {
+    PASSES * options.steps * trials
+}
+
 impl<'a> Sweep<'a> {
     pub fn new(
         parameters: &'a Parameters,
@@ -109,7 +114,7 @@ impl<'a> Sweep<'a> {
         options: &'a SkinFitOptions,
         progress: &'a mut dyn FnMut(SkinProgress),
     ) -> Self {
-        let total = PASSES * options.steps * trials.len();
+        let total = most_done(trials.len(), options);
         let at = SkinProgress { step: 0, steps: options.steps, cost: None, done: 0, total };
         let mut work = Vec::new();
         work.resize_with(options.threads.max(1), FrameWork::default);

@@ -256,6 +256,50 @@ fn threads_change_no_bit_and_a_wild_frame_is_doubted() {
 }
 
 #[test]
+fn finer_fields_continue_a_coarser_skin() {
+    let [coarse, fine] = [90.0, 60.0].map(|spacing_mm| parameters(&options(spacing_mm, 1)));
+    let plane = |parameters: &Parameters| {
+        let mut vector: Vec<f64> = (0..parameters.len()).map(|i| 1e-3 * i as f64).collect();
+        for block in &parameters.blocks {
+            for corner in block.at.clone() {
+                let [x, y] = block.place_mm(sensor(), corner - block.at.start);
+                vector[corner] = 1e-3 * x - 2e-3 * y;
+            }
+        }
+        let own = parameters.anisotropy()..parameters.len();
+        vector[own].iter_mut().enumerate().for_each(|(i, v)| *v = 0.1 * i as f64);
+        vector
+    };
+    let refined = fine.refined(&coarse, &plane(&coarse));
+    assert!(fine.len() > coarse.len());
+    for (i, (found, wanted)) in refined.iter().zip(plane(&fine)).enumerate() {
+        assert!((found - wanted).abs() < 1e-12, "{i}: {found} for {wanted}");
+    }
+}
+
+#[test]
+fn a_fit_of_many_trials_begins_with_a_quarter_of_them() {
+    let options = SkinFitOptions { steps: 2, ..options(120.0, 2) };
+    let parameters = parameters(&options);
+    let trials = measured(&some_skin(&parameters, 11), MANY_TRIALS, 12);
+    let mut counted = Vec::new();
+    let fit = fit(sensor(), responses(), &trials, &options, &mut |p| counted.push(p)).unwrap();
+    let alone = &mut |_: SkinProgress| {};
+    let mut sweep = Sweep::new(&parameters, &trials, &options, alone);
+    let (vector, offsets_v) = (vec![0.0; parameters.len()], vec![0.0; sensor().channels()]);
+    let nominal = parameters.model(&vector).unwrap();
+    let misfits = sweep.misfits(&nominal, &offsets_v).unwrap();
+    let before = misfits.cost(misfits.edge());
+    assert!(fit.costs[0] < 0.5 * before, "{before} -> {:?}", fit.costs);
+    assert!(counted.is_sorted_by_key(|p| (p.step, p.done)));
+    assert!(
+        counted.iter().all(|p| p.steps == 4 && p.total == 12 * (MANY_TRIALS + MANY_TRIALS / 4))
+    );
+    assert!(counted.iter().any(|p| p.step > 2) && counted.iter().all(|p| p.done <= p.total));
+    assert_eq!([999, 1000, 4000, 16000].map(|trials| strides(trials)[0]), [1, 4, 16, 64]);
+}
+
+#[test]
 fn noise_is_seen_in_the_rings() {
     let skin = ForwardModel::new(sensor(), responses()).unwrap();
     let noise = noise_v(&measured(&skin, 12, 9)).unwrap();
