@@ -330,7 +330,8 @@ impl Control {
     ///
     /// # Errors
     /// `Halt::Trip` for an e-stop and after a suspension of the computer, `Halt::Asked` for a request that needs the
-    /// tips up, and once the thread was asked to end: the rig must be made safe immediately.
+    /// tips up, once the thread was asked to end, and once a person ends an unattended motion: the rig must be made safe
+    /// immediately.
     pub fn attend(&mut self) -> Result<(), Halt> {
         if let Some(press) = self.estop.pressed() {
             return Err(Halt::trip(TripKind::Estop, press.why));

@@ -54,7 +54,7 @@ impl Unattended {
         Self { is_locked, _watch: watch }
     }
 
-    /// Whether it was.
+    /// Whether it was taken.
     pub fn is_locked(&self) -> bool {
         self.is_locked.load(Ordering::SeqCst)
     }
