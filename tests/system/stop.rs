@@ -26,6 +26,8 @@ const LATCHED_IN_A_CROWD: Duration = Duration::from_secs(1);
 const IDLE_CONNECTIONS: usize = 1_100;
 const READERS: usize = 40;
 const STOPS: usize = 100;
+/// Clients that stop at once: more than there are places.
+const STOPPING: usize = 700;
 /// Keys of those who keep all connections busy.
 const KEYS: usize = 8;
 /// Twelve trials, whose voltages are read.
@@ -306,6 +308,26 @@ async fn behind_idle_connections_and_readers(lab: &Lab, viewer: &str) {
     assert!(frame.is_text(), "the WebSocket was there first and stays: {frame:?}");
 }
 
+/// Stops that come faster than the door accepts connections are all answered.
+async fn from_a_crowd(lab: &Lab, viewer: &str) {
+    let (address, stop) = (address(lab), head(&format!("POST {ESTOP}"), Some(viewer), ""));
+    let connect = move |_| {
+        let mut wire = std::net::TcpStream::connect(&address).unwrap();
+        wire.set_read_timeout(Some(Duration::from_secs(10))).unwrap();
+        wire.write_all(stop.as_bytes()).unwrap();
+        wire
+    };
+    let is_answered = |mut wire: std::net::TcpStream| {
+        let mut start = [0; 13];
+        wire.read_exact(&mut start).is_ok() && start == *b"HTTP/1.1 200 "
+    };
+    let stops = move || {
+        let wires: Vec<_> = (0..STOPPING).map(connect).collect();
+        wires.into_iter().map(is_answered).filter(|is_answered| *is_answered).count()
+    };
+    assert_eq!(tokio::task::spawn_blocking(stops).await.unwrap(), STOPPING);
+}
+
 /// While every place is busy the stop and /health are reached, and nothing else.
 async fn behind_busy_connections(lab: &Lab, viewer: &str) {
     let more = "content-type: application/json\r\ncontent-length: 10\r\n";
@@ -322,7 +344,7 @@ async fn behind_busy_connections(lab: &Lab, viewer: &str) {
         let _ = wire.write_all(never_end[n % KEYS].as_bytes());
         wire
     };
-    // Faster than the door accepts them: it closes connections whose heads are there but unread.
+    // Faster than the door accepts them: it refuses those beyond its places.
     let (mut busy, connect) =
         tokio::task::spawn_blocking(|| ((0..700).map(&connect).collect::<Vec<_>>(), connect))
             .await
@@ -364,6 +386,7 @@ async fn a_stop_gets_through_crowds() {
     slow.await.unwrap();
     let viewer = key(&lab, "viewer key", "viewer").await;
     behind_idle_connections_and_readers(&lab, &viewer).await;
+    from_a_crowd(&lab, &viewer).await;
     behind_busy_connections(&lab, &viewer).await;
     lab.close().await;
 }

@@ -32,8 +32,8 @@ use tokio::net::{TcpListener, TcpStream};
 use tokio::runtime;
 use tokio::signal::unix::{SignalKind, signal};
 use tokio::sync::watch;
-use tokio::task::JoinSet;
-use tokio::time::{MissedTickBehavior, interval, sleep, timeout};
+use tokio::task::{JoinSet, yield_now};
+use tokio::time::{Instant, MissedTickBehavior, interval, sleep, timeout};
 use tokio_rustls::TlsAcceptor;
 use tower_service::Service;
 
@@ -123,13 +123,13 @@ async fn serve(listener: TcpListener, handlers: Handlers, mut ending: watch::Rec
     let until = ending.clone();
     let mut refused = false;
     loop {
-        let room = seats.have_room();
+        let room = seats.have_room(Instant::now());
         tokio::select! {
             () = ended(&mut ending) => break,
             taken = listener.accept(), if room => match taken {
                 Ok((stream, _)) => {
                     refused = false;
-                    let seat = seats.take();
+                    let seat = seats.take(Instant::now());
                     connections.spawn(attend(stream, seat, handlers.clone(), until.clone()));
                 }
                 // The client has disconnected already.
@@ -138,13 +138,13 @@ async fn serve(listener: TcpListener, handlers: Handlers, mut ending: watch::Rec
                     if !std::mem::replace(&mut refused, true) {
                         tracing::warn!(%error, "a connection could not be accepted");
                     }
-                    seats.make_room();
+                    seats.make_room(Instant::now());
                     sleep(ACCEPT_RETRY).await;
                 }
             },
             Some(_) = connections.join_next() => {}
             () = seats.one_is_freed(), if !room => {}
-            // A new connection is no longer young.
+            // An idle connection is no longer young.
             () = sleep(YOUNG / 4), if !room => {}
             now = sweep.tick() => seats.sweep(now),
         }
@@ -161,6 +161,13 @@ async fn serve(listener: TcpListener, handlers: Handlers, mut ending: watch::Rec
 async fn ended(ending: &mut watch::Receiver<bool>) {
     // A dropped sender also means the end of the service.
     let _ = ending.wait_for(|ended| *ended).await;
+}
+
+/// Completes when the connection must be closed (`Seat::ends_now`), after one turn of the event loop:
+/// before it the runtime may not know yet of bytes that have arrived, and a stop would not be answered.
+async fn closed(seat: &Seat) {
+    seat.closed().await;
+    yield_now().await;
 }
 
 /// Serves one connection until its end, or until it has become a WebSocket.
@@ -225,7 +232,7 @@ async fn converse(
                 }
                 return;
             }
-            () = seat.closed() => if seat.ends_now() { return },
+            () = closed(&seat) => if seat.ends_now() { return },
             () = ended(&mut ending), if !ends => {
                 ends = true;
                 connection.as_mut().graceful_shutdown();
@@ -265,4 +272,36 @@ async fn answer(
 
 fn is_stop(path: &str) -> bool {
     matches!(path, "/estop" | "/api/v1/estop")
+}
+
+#[cfg(test)]
+mod tests {
+    use std::io::{Read, Write};
+    use std::net;
+
+    use axum::routing::post;
+
+    use super::*;
+    use crate::api::limits::HEAD_WITHIN;
+
+    #[tokio::test]
+    async fn a_stop_that_has_arrived_is_answered_although_its_connection_is_closed_unread() {
+        let listener = net::TcpListener::bind("127.0.0.1:0").unwrap();
+        let mut client = net::TcpStream::connect(listener.local_addr().unwrap()).unwrap();
+        client.write_all(b"POST /estop HTTP/1.1\r\nhost: localhost\r\n\r\n").unwrap();
+        let (accepted, _) = listener.accept().unwrap();
+        accepted.set_nonblocking(true).unwrap();
+        let mut seats = Seats::default();
+        let seat = seats.take(Instant::now());
+        seats.sweep(Instant::now() + 2 * HEAD_WITHIN);
+        assert!(seat.ends_now());
+        let router = Router::new().route("/estop", post(|| async { "latched" }));
+        let handlers = Handlers { router, tls: None, threads: runtime::Handle::current() };
+        let (_ending, ends) = watch::channel(false);
+        // The runtime has not noticed the request yet: nothing has been awaited.
+        attend(TcpStream::from_std(accepted).unwrap(), seat, handlers, ends).await;
+        let mut answer = String::new();
+        client.read_to_string(&mut answer).unwrap();
+        assert!(answer.starts_with("HTTP/1.1 200 ") && answer.contains("latched"), "{answer}");
+    }
 }

@@ -12,7 +12,8 @@ pub const CONNECTIONS: usize = 512;
 pub const RESERVED: usize = 32;
 /// Longest time for the head of a request, from the start of the connection or from its first byte.
 pub const HEAD_WITHIN: Duration = Duration::from_secs(5);
-/// Least time that a new connection is kept for its first request.
+/// Least time that an idle connection is kept for its first or next request before it is closed in
+/// favour of another connection.
 pub const YOUNG: Duration = Duration::from_millis(20);
 /// Longest time from the end of a response to the next request.
 pub const IDLE_WITHIN: Duration = Duration::from_secs(60);
@@ -182,7 +183,7 @@ mod tests {
         let line = |of, most, beyond| Bound { of, most, beyond };
         let n = |n: usize| n.to_string();
         vec![
-            line("connections", n(CONNECTIONS), "the connection that was idle for longest is closed; if all are busy: 503, except for the e-stop and /health"),
+            line("connections", n(CONNECTIONS), "the connection that was idle for longest is closed; if all are busy or new: 503, except for the e-stop and /health"),
             line("further connections for the e-stop and /health", n(RESERVED), "as above"),
             line("head of a request, from its first byte", seconds(HEAD_WITHIN), "the connection is closed"),
             line("connection between two requests", seconds(IDLE_WITHIN), "the connection is closed"),

@@ -21,14 +21,11 @@ pub struct Seats {
 }
 
 impl Seats {
-    /// True if another connection can be accepted, possibly after closing an idle one. The first
-    /// request of a new connection has `YOUNG` to arrive.
-    pub fn have_room(&mut self) -> bool {
+    /// True if another connection can be accepted, possibly after closing an idle one.
+    pub fn have_room(&mut self, now: Instant) -> bool {
         self.taken.retain(|seat| seat.strong_count() > 0);
         let most = CONNECTIONS + RESERVED;
-        let old = Instant::now() - YOUNG;
-        let idle = |seat: Arc<Seat>| seat.idle_since().is_some_and(|since| since <= old);
-        let one_is_idle = || self.all().any(idle);
+        let one_is_idle = || self.all().any(|seat| seat.idle_since(now).is_some());
         self.taken.len() < most
             || self.taken.len() < WITH_CLOSING && (self.open().count() < most || one_is_idle())
     }
@@ -38,12 +35,13 @@ impl Seats {
         self.freed.notified()
     }
 
-    /// Takes a seat for a new connection: a reserved one if all ordinary ones are busy.
-    pub fn take(&mut self) -> Arc<Seat> {
+    /// Takes a seat for a new connection: a reserved one if all ordinary ones are busy, or became
+    /// idle less than `YOUNG` ago.
+    pub fn take(&mut self, now: Instant) -> Arc<Seat> {
         let open = |reserved| self.open().filter(|s| s.reserved == reserved).count();
-        let reserved = open(false) >= CONNECTIONS && !self.close_idlest(|s| !s.reserved);
+        let reserved = open(false) >= CONNECTIONS && !self.close_idlest(now, |s| !s.reserved);
         if reserved && open(true) >= RESERVED {
-            self.close_idlest(|s| s.reserved);
+            self.close_idlest(now, |s| s.reserved);
         }
         let seat = Arc::new(Seat {
             reserved,
@@ -56,8 +54,8 @@ impl Seats {
     }
 
     /// Closes the connection that has been idle for longest; false if none is idle.
-    pub fn make_room(&self) -> bool {
-        self.close_idlest(|_| true)
+    pub fn make_room(&self, now: Instant) -> bool {
+        self.close_idlest(now, |_| true)
     }
 
     /// Closes the connections whose idle time has expired.
@@ -79,9 +77,9 @@ impl Seats {
     }
 
     /// Closes the connection that has been idle for longest, of those for which `of` is true.
-    fn close_idlest(&self, of: impl Fn(&Seat) -> bool) -> bool {
+    fn close_idlest(&self, now: Instant, of: impl Fn(&Seat) -> bool) -> bool {
         let idle = self.all().filter(|seat| of(seat));
-        let idle = idle.filter_map(|seat| Some((seat.idle_since()?, seat)));
+        let idle = idle.filter_map(|seat| Some((seat.idle_since(now)?, seat)));
         let longest = idle.min_by_key(|(since, _)| *since);
         longest.is_some_and(|(_, seat)| seat.close())
     }
@@ -160,9 +158,11 @@ impl Seat {
         }
     }
 
-    fn idle_since(&self) -> Option<Instant> {
+    /// Start of an idle time of at least `YOUNG`: the connection may be closed in favour of another
+    /// one. Until then its first or next request, which may be a stop, has time to arrive.
+    fn idle_since(&self, now: Instant) -> Option<Instant> {
         match *self.state.lock() {
-            State::Idle { since, .. } => Some(since),
+            State::Idle { since, .. } => (since + YOUNG <= now).then_some(since),
             State::Busy | State::Upgraded | State::Closing { .. } => None,
         }
     }
@@ -226,13 +226,31 @@ mod tests {
         seats.iter().filter(|seat| seat.reserved).count()
     }
 
+    /// A time at which no connection is young.
+    fn later() -> Instant {
+        Instant::now() + YOUNG
+    }
+
+    #[test]
+    fn no_connection_is_closed_for_another_one_before_its_request_can_have_arrived() {
+        let (mut seats, start) = (Seats::default(), Instant::now());
+        let mut taken: Vec<_> = (0..CONNECTIONS + RESERVED).map(|_| seats.take(start)).collect();
+        assert!(taken.iter().all(|seat| !seat.is_closing()));
+        assert_eq!(reserved(&taken), RESERVED);
+        assert!(!seats.have_room(start) && !seats.make_room(start));
+        assert!(seats.have_room(later()));
+        taken.push(seats.take(later()));
+        assert_eq!(reserved(&taken), RESERVED, "the newest one is ordinary");
+        assert!(taken[0].ends_now() && taken[1..].iter().all(|seat| !seat.is_closing()));
+    }
+
     #[test]
     fn the_connection_that_is_idle_for_longest_is_closed() {
         let mut seats = Seats::default();
-        let mut taken: Vec<_> = (0..CONNECTIONS).map(|_| seats.take()).collect();
+        let mut taken: Vec<_> = (0..CONNECTIONS).map(|_| seats.take(later())).collect();
         let busy = InFlight::begin(taken[0].clone());
-        taken.push(seats.take());
-        assert!(seats.have_room() && reserved(&taken) == 0);
+        taken.push(seats.take(later()));
+        assert!(seats.have_room(later()) && reserved(&taken) == 0);
         let closing: Vec<bool> = taken.iter().map(|seat| seat.is_closing()).collect();
         assert_eq!(closing.iter().filter(|closes| **closes).count(), 1);
         assert!(!closing[0] && !closing[CONNECTIONS], "neither a busy one nor the newest");
@@ -241,29 +259,28 @@ mod tests {
 
     #[test]
     fn reserved_seats_stay_available_while_all_connections_are_busy() {
-        let mut seats = Seats::default();
-        let ordinary: Vec<_> = (0..CONNECTIONS).map(|_| seats.take()).collect();
+        let (mut seats, start) = (Seats::default(), Instant::now());
+        let ordinary: Vec<_> = (0..CONNECTIONS).map(|_| seats.take(later())).collect();
         let busy: Vec<_> = ordinary.iter().cloned().map(InFlight::begin).collect();
         // Idle newcomers replace each other, and none gets an ordinary seat.
-        let late: Vec<_> = (0..3 * RESERVED).map(|_| seats.take()).collect();
+        let late: Vec<_> = (0..3 * RESERVED).map(|_| seats.take(later())).collect();
         assert_eq!(reserved(&late), late.len());
         assert_eq!(late.iter().filter(|seat| !seat.is_closing()).count(), RESERVED);
-        assert!(!seats.have_room(), "the newest may still send their requests");
-        std::thread::sleep(YOUNG);
-        assert!(seats.have_room());
+        assert!(!seats.have_room(start), "the newest may still send their requests");
+        assert!(seats.have_room(later()));
         let stops: Vec<_> = late[2 * RESERVED..].iter().cloned().map(InFlight::begin).collect();
         drop(late);
-        assert!(!seats.have_room(), "no connection is idle");
+        assert!(!seats.have_room(later()), "no connection is idle");
         drop(stops);
         drop(busy);
-        assert!(seats.have_room() && !seats.take().reserved);
+        assert!(seats.have_room(later()) && !seats.take(later()).reserved);
     }
 
     #[test]
     fn a_request_on_a_connection_that_is_being_closed_takes_no_ordinary_seat() {
         let mut seats = Seats::default();
-        let old: Vec<_> = (0..CONNECTIONS).map(|_| seats.take()).collect();
-        let new: Vec<_> = (0..CONNECTIONS).map(|_| seats.take()).collect();
+        let old: Vec<_> = (0..CONNECTIONS).map(|_| seats.take(later())).collect();
+        let new: Vec<_> = (0..CONNECTIONS).map(|_| seats.take(later())).collect();
         assert!(old.iter().all(|seat| seat.ends_now() && seat.only_for_stops()));
         // Their requests had arrived already: they are answered, as on a reserved seat.
         let late: Vec<_> = old.iter().cloned().map(InFlight::begin).collect();
@@ -271,14 +288,15 @@ mod tests {
         let busy: Vec<_> = new.iter().cloned().map(InFlight::begin).collect();
         assert!(new.iter().all(|seat| !seat.only_for_stops()));
         drop((late, old));
-        assert!(seats.have_room() && seats.take().reserved);
+        assert!(seats.have_room(later()) && seats.take(later()).reserved);
         drop(busy);
     }
 
     #[test]
     fn heads_and_idle_connections_have_a_time_limit_and_streams_have_none() {
         let mut seats = Seats::default();
-        let [silent, shaking, slow, idle, stream, socket] = std::array::from_fn(|_| seats.take());
+        let [silent, shaking, slow, idle, stream, socket] =
+            std::array::from_fn(|_| seats.take(later()));
         let _streaming = InFlight::begin(stream.clone());
         InFlight::begin(socket.clone()).0.upgrade();
         drop(InFlight::begin(idle.clone()));

@@ -302,7 +302,7 @@ impl Conductor {
         let homed = async {
             loop {
                 let rig = campaign.status().rig;
-                if !self.is_brought_up(run.uid) {
+                if !self.is_brought_up(run.uid) || self.is_operated_since_start(run.uid) {
                     if rig.state == RigState::Disarmed {
                         // Refused if nothing moves any more.
                         let _ = campaign.ask(Request::Abort).await;
@@ -481,5 +481,20 @@ mod tests {
             asked = homing => asked,
         };
         assert!(asked.is_err(), "{asked:?}");
+    }
+
+    #[tokio::test]
+    async fn the_homing_for_a_run_ends_if_a_person_operates_the_rig() {
+        let (conductor, mut inbox, _folder) = conductor().await;
+        earlier(&conductor).await;
+        inbox.status.send_modify(|status| status.rig.state = RigState::Disarmed);
+        tokio::select! {
+            taken = conductor.resume_after_restart(AutoResume::Allowed) => panic!("{taken:?}"),
+            () = async {
+                granted(&mut inbox, |request| matches!(request, Request::Home)).await;
+                conductor.note_operation();
+                granted(&mut inbox, |request| matches!(request, Request::Abort)).await;
+            } => {}
+        }
     }
 }

@@ -8,7 +8,7 @@ use palpate::campaign::bench::rig_state::RigState;
 use palpate::campaign::shown::command::{Refusal, Request};
 use palpate::campaign::shown::placement::Confirmation;
 use palpate::campaign::shown::safe_end::Tips;
-use palpate::campaign::shown::status::{Done, Phase, Status};
+use palpate::campaign::shown::status::{Done, Motion, Phase, Status};
 use palpate::state::{PausedWhy, StoredState};
 use serde_json::json;
 
@@ -155,12 +155,15 @@ async fn a_drive_that_was_without_power_waits_for_a_person() {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_lock_that_is_taken_while_the_rig_homes_automatically_holds_the_run() {
     let harness = tripped_by_its_wires().await;
-    harness.until("an automatic reset", |s| s.rig.state == RigState::Disarmed).await;
+    harness.until("an automatic homing", |s| s.rig.motion == Some(Motion::Homing)).await;
     harness.journal.taken().locked_at = Some(jiff::Timestamp::now());
-    harness.until("homed", |s| s.rig.state == RigState::Homed).await;
-    stays(&harness).await;
-    let run = harness.handle.status().run.unwrap();
+    harness.until("the end of the homing", |s| s.rig.motion.is_none()).await;
+    stays_for(&harness, "ada").await;
+    let status = harness.handle.status();
+    let run = status.run.unwrap();
     assert_eq!((run.state, run.paused_why), (StoredState::Paused, Some(PausedWhy::Trip)));
+    // A homing that has just ended needs no end.
+    assert!(matches!(status.rig.state, RigState::Disarmed | RigState::Homed), "{:?}", status.rig);
     harness.journal.taken().locked_at = None;
     harness.stores_another().await;
     harness.abort_and_close().await;
@@ -169,7 +172,7 @@ async fn a_lock_that_is_taken_while_the_rig_homes_automatically_holds_the_run() 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_person_who_operates_the_rig_while_it_homes_automatically_holds_the_run() {
     let harness = tripped_by_its_wires().await;
-    harness.until("an automatic reset", |s| s.rig.state == RigState::Disarmed).await;
+    harness.until("an automatic homing", |s| s.rig.motion == Some(Motion::Homing)).await;
     let refused = harness.ask(Request::Tare).await.unwrap_err();
     assert!(refused.to_string().contains("tare is not possible"), "{refused}");
     stays_for(&harness, "a person has operated the rig").await;

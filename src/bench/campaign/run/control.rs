@@ -1,6 +1,6 @@
 //! Where requests meet the state machines: what is allowed, the next state, the published status.
 //! All of it happens in memory; the diary stores it afterwards.
-//! Uses: `campaign::{shown::command, run::run_state, bench::rig_state, shown::status, diary}`.
+//! Uses: `campaign::{shown::command, run::{run_state, unattended}, bench::rig_state, shown::status, diary}`.
 //! Never: motion, wires, a wait for the store except while the tips are up (`flush`, `at_rest`,
 //! `taken_lock`).
 
@@ -17,11 +17,12 @@ use crate::campaign::bench::rig_state::{self, RigEvent, RigState};
 use crate::campaign::diary::{Diary, Note};
 use crate::campaign::run::halt::Halt;
 use crate::campaign::run::run_state::{self, PausedWhy, RunAction, RunEvent, RunState};
+use crate::campaign::run::unattended::{self, Unattended};
 use crate::campaign::shown::command::{Envelope, Inbox, Moment, Refusal, Request};
 use crate::campaign::shown::run_action::doing;
 use crate::campaign::shown::status::{Phase, RunStatus, Status};
 use crate::ids::RunUid;
-use crate::journal::{Journal, JournalError, error_chain};
+use crate::journal::{Journal, JournalError};
 use crate::record::Untouched;
 use crate::state::StateChange;
 use crate::suspension::Suspensions;
@@ -33,8 +34,6 @@ const MOTION_ABORTED: &str = "a motion of the rig was aborted, and a person may 
 /// Why no waiting run begins after a pause or an abort that came too late for the run before it.
 const CAME_LATE: &str =
     "a pause or an abort of a run that did not move was requested, and a person may be at the rig";
-/// Longest wait for the store before a run begins or resumes; meanwhile no request is read.
-const LOCK_LIMIT: Duration = Duration::from_secs(1);
 /// Period at which requests are checked while waiting for the store or for a reply, wall time.
 const REQUESTS_POLL: Duration = Duration::from_millis(20);
 
@@ -50,6 +49,8 @@ pub struct Control {
     pub journal: Arc<dyn Journal>,
     /// Notices that the computer was suspended.
     pub suspensions: Suspensions,
+    /// The motion that no person has requested, if there is one: who operates the rig ends it, too.
+    pub unattended: Option<Unattended>,
     rig: RigState,
     run: RunState,
     current: Option<RunUid>,
@@ -68,6 +69,7 @@ impl Control {
             diary,
             journal,
             suspensions: Suspensions::watch(),
+            unattended: None,
             rig: RigState::Disconnected,
             run: RunState::Idle,
             current: None,
@@ -227,6 +229,7 @@ impl Control {
     pub fn forget_run(&mut self) {
         self.current = None;
         self.run = RunState::Idle;
+        self.unattended = None;
     }
 
     /// Whether the thread was asked to end. The run stays open and resumes after a restart.
@@ -311,15 +314,9 @@ impl Control {
 
     /// What must come before anything moves, as text: a person has taken the operator lock after this, for example with
     /// hands in the rig, or the store does not answer.
-    pub async fn taken_lock(&self, (at, instant): Moment) -> Option<String> {
-        let journal = self.journal.clone();
-        // The wall clock may have been set since: then the earlier of the two times counts.
-        let since = at.min(Timestamp::now() - instant.elapsed());
-        match tokio::time::timeout(LOCK_LIMIT, journal.lock_since(since)).await {
-            Ok(Ok(lock)) => lock.map(|who| format!("the release of the operator lock ({who})")),
-            Ok(Err(error)) => Some(format!("an answer of the store ({})", error_chain(&error))),
-            Err(_late) => Some("an answer of the store".into()),
-        }
+    pub async fn taken_lock(&self, since: Moment) -> Option<String> {
+        let taken = unattended::taken_lock(self.journal.as_ref(), since);
+        taken.await.unwrap_or_else(Some)
     }
 
     /// Whether the computer was suspended since this was last asked, as text. Drives then have moved to their targets
@@ -333,7 +330,8 @@ impl Control {
     ///
     /// # Errors
     /// `Halt::Trip` for an e-stop and after a suspension of the computer, `Halt::Asked` for a request that needs the
-    /// tips up, and once the thread was asked to end: the rig must be made safe immediately.
+    /// tips up, once the thread was asked to end, and once a person ends an unattended motion: the rig must be made safe
+    /// immediately.
     pub fn attend(&mut self) -> Result<(), Halt> {
         if let Some(press) = self.estop.pressed() {
             return Err(Halt::trip(TripKind::Estop, press.why));
@@ -350,7 +348,9 @@ impl Control {
                 return Err(Halt::Asked);
             }
         }
-        Ok(())
+        let motion = self.unattended.as_ref();
+        let is_ended = motion.is_some_and(|motion| self.operated || motion.is_locked());
+        if is_ended { Err(Halt::Asked) } else { Ok(()) }
     }
 
     /// Called after a commit, and before the tips go down: leaves the configuration if a pause or a stop was requested.

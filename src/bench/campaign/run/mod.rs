@@ -9,5 +9,6 @@ pub mod resume;
 pub mod eta;
 pub mod job;
 pub mod halt;
+pub mod unattended;
 pub mod control;
 pub mod engine;

@@ -10,6 +10,7 @@
 //! error, because only its driver can check that.
 
 use std::collections::BTreeSet;
+use std::mem::discriminant;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
@@ -118,6 +119,11 @@ impl Owed {
     /// Whether its reply would be taken for the answer to this request.
     fn could_answer(&self, job: &Job) -> bool {
         self.unit == job.unit && self.request.is_alike(&job.request)
+    }
+
+    /// Whether an exception in reply to it would be taken for one to this request: it names only the function.
+    fn could_refuse(&self, job: &Job) -> bool {
+        self.unit == job.unit && discriminant(&self.request) == discriminant(&job.request)
     }
 }
 
@@ -270,27 +276,40 @@ impl Wire {
         self.counters.last_round_trip_us.store(round_trip.as_micros() as u64, Ordering::Relaxed);
         let result = match outcome {
             Err(exception) => {
-                self.owed.pop();
-                Err(LineError::Exception { code: exception.into() })
+                let code: u8 = exception.into();
+                self.require_own(job, Owed::could_refuse, &format!("exception {code}"))?;
+                Err(LineError::Exception { code })
             }
             Ok(response) => {
                 let reply = pdu::reply_of(response);
                 if let Err(cause) = job.request.accepts(&reply) {
                     return Err(LineError::Garbled { cause });
                 }
-                let is_of_other = |o: &Owed| o.could_answer(job) && o.request != job.request;
-                if let Some(at) = self.owed.iter().position(is_of_other) {
-                    self.owed.remove(at);
-                    let cause = format!("{reply} may answer an earlier request");
-                    return Err(LineError::Garbled { cause });
-                }
-                self.owed.pop();
+                self.require_own(job, Owed::could_answer, &reply.to_string())?;
                 count(&self.counters.answered);
                 Ok(reply)
             }
         };
         self.context = Some(context);
         result
+    }
+
+    /// Checks that a reply to this request, the newest one, cannot be that to an earlier one. If it can, as `could_be`
+    /// states, that one has been answered, and the reply to the newest one is still awaited.
+    fn require_own(
+        &mut self,
+        job: &Job,
+        could_be: fn(&Owed, &Job) -> bool,
+        reply: &str,
+    ) -> Result<(), LineError> {
+        let is_of_other = |owed: &Owed| could_be(owed, job) && owed.request != job.request;
+        if let Some(at) = self.owed.iter().position(is_of_other) {
+            self.owed.remove(at);
+            let cause = format!("{reply} may answer an earlier request");
+            return Err(LineError::Garbled { cause });
+        }
+        self.owed.pop();
+        Ok(())
     }
 
     /// Counts a failed attempt and decides what to do next.

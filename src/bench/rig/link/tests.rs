@@ -432,13 +432,23 @@ async fn a_serial_reply_that_a_stop_did_not_wait_for_is_no_answer_to_the_next_re
     assert_eq!(reading.await.unwrap(), Ok(Reply::Words(vec![7])));
 }
 
-/// Writes of two words to one address, such as the release of a stop and a stop, and the echo of both.
+/// Writes of two words to one address, such as the release of a stop and a stop, the echo of both, and an exception.
 const RELEASE: [u8; 13] = [1, 16, 0, 0x7C, 0, 2, 4, 0, 0, 0, 0, 0xF4, 0xDE];
 const STOP_WORDS: [u8; 13] = [1, 16, 0, 0x7C, 0, 2, 4, 0, 0, 0, 32, 0xF5, 0x06];
 const ECHO: [u8; 8] = [1, 16, 0, 0x7C, 0, 2, 0x80, 0x10];
+const FAILED: [u8; 5] = [1, 0x90, 4, 0x4D, 0xC3];
 
 #[tokio::test]
 async fn a_serial_echo_that_may_be_of_an_earlier_write_acknowledges_no_stop() {
+    a_reply_to_an_earlier_write_answers_no_stop(&ECHO).await;
+}
+
+#[tokio::test]
+async fn a_serial_exception_that_may_be_of_an_earlier_write_fails_no_stop() {
+    a_reply_to_an_earlier_write_answers_no_stop(&FAILED).await;
+}
+
+async fn a_reply_to_an_earlier_write_answers_no_stop(reply: &[u8]) {
     let (line, mut wires) = serial(LONG);
     let write = |word| Request::WriteRegisters { address: 0x7C, words: vec![0, word] };
     let permit = MotionGate::new(StopLatch::new()).permit().unwrap();
@@ -449,7 +459,7 @@ async fn a_serial_echo_that_may_be_of_an_earlier_write_acknowledges_no_stop() {
     let stopping = tokio::spawn(async move { line.ask_urgent(1, write(32)).await });
     let mut second = wires.recv().await.unwrap();
     assert!(is_asked(&mut second, STOP_WORDS).await);
-    second.write_all(&ECHO).await.unwrap();
+    second.write_all(reply).await.unwrap();
     // It may be that of the release.
     let mut third = wires.recv().await.expect("the stop is sent again");
     assert!(is_asked(&mut third, STOP_WORDS).await);

@@ -12,6 +12,7 @@ use crate::campaign::bench::rig_state::{RigEvent, RigState};
 use crate::campaign::bench::stage::Height;
 use crate::campaign::run::job::Job;
 use crate::campaign::run::run_state::{PausedWhy, RunEvent, RunState};
+use crate::campaign::run::unattended::Unattended;
 use crate::campaign::shown::command::Refusal;
 use crate::rig::error::RigError;
 use crate::rig::traits::Bench;
@@ -222,8 +223,12 @@ impl Engine {
         if let Some(lock) = self.control.taken_lock(self.halted_at).await {
             return Recovery::Held(lock);
         }
+        // A request since the checks began holds: nothing homes after it.
         self.control.take_operated();
-        let is_homed = self.home().await;
+        if let Some(held) = self.heed().await {
+            return held;
+        }
+        let is_homed = self.home_unattended().await;
         *homed = self.homed_drives().await;
         if self.control.take_operated() {
             return Recovery::ForPerson(BY_HAND.into());
@@ -234,7 +239,12 @@ impl Engine {
             return Recovery::ForPerson(words.into());
         }
         if !is_homed {
-            return Recovery::Failed;
+            let is_tripped = self.control.rig() == RigState::Tripped;
+            return match self.control.taken_lock(self.halted_at).await {
+                // It has ended the homing.
+                Some(lock) if !is_tripped => Recovery::Held(lock),
+                Some(_) | None => Recovery::Failed,
+            };
         }
         // A pause that was requested while it homed holds.
         let halted = RunState::Paused(PausedWhy::Trip);
@@ -247,18 +257,34 @@ impl Engine {
             Err(Refusal::State(_) | Refusal::Value(_) | Refusal::Gone) => return Recovery::Failed,
         }
         // Arming takes a while: a request since holds, too.
-        if let Err(halt) = self.control.attend() {
-            self.make_safe(halt.as_trip(), Height::Clear).await;
-            return Recovery::Failed;
-        }
-        if self.control.take_operated() {
-            // An armed rig would refuse what this person requests next.
-            let _ = self.control.rig_event(RigEvent::Disarm);
-            return Recovery::ForPerson(BY_HAND.into());
+        if let Some(held) = self.heed().await {
+            if matches!(held, Recovery::ForPerson(_)) {
+                // An armed rig would refuse what this person requests next.
+                let _ = self.control.rig_event(RigEvent::Disarm);
+            }
+            return held;
         }
         let resumed =
             self.control.run() == halted && self.control.run_event(RunEvent::Resume).is_ok();
         if resumed { Recovery::Done } else { Recovery::Failed }
+    }
+
+    /// Accepts pending requests between two parts of an attempt. Returns its result if one of them ends it.
+    async fn heed(&mut self) -> Option<Recovery> {
+        if let Err(halt) = self.control.attend() {
+            self.make_safe(halt.as_trip(), Height::Clear).await;
+            return Some(Recovery::Failed);
+        }
+        self.control.take_operated().then(|| Recovery::ForPerson(BY_HAND.into()))
+    }
+
+    /// Homes until a person operates the rig, or takes the operator lock after the halt.
+    async fn home_unattended(&mut self) -> bool {
+        let journal = self.control.journal.clone();
+        self.control.unattended = Some(Unattended::watch(journal, self.halted_at));
+        let is_homed = self.home().await;
+        self.control.unattended = None;
+        is_homed
     }
 
     /// Whether the present trip may pass without a person.

@@ -33,6 +33,7 @@ use crate::schedule::experiment::Experiment;
 use crate::schedule::plan::{Kind, Plan};
 use crate::suspension::Suspensions;
 
+mod attended;
 mod motions;
 mod owed;
 mod pausing;

@@ -1,0 +1,77 @@
+//! What ends an automatic resume before and while the rig homes for it: a person who operates the rig or takes the lock.
+
+use std::sync::atomic::Ordering;
+use std::time::Duration;
+
+use jiff::Timestamp;
+
+use super::super::recovery::BY_HAND;
+use super::super::{Attempts, Next};
+use super::{job, trip, with_handle};
+use crate::campaign::bench::rig_state::RigState;
+use crate::campaign::run::run_state::{PausedWhy, RunState};
+use crate::campaign::shown::command::Request;
+use crate::campaign::shown::status::Status;
+use crate::rig::traits::AxisStatus;
+
+#[tokio::test]
+async fn nothing_homes_by_itself_after_a_request_to_the_rig_while_the_devices_were_read() {
+    let (mut job, (axes, mut engine, handle)) = (job(), with_handle());
+    job.plan.policy.auto_resume_after_s = 0.0;
+    trip(&mut engine, &job);
+    *axes.cells.takes.lock() = Duration::from_millis(50);
+    // Without a handle there is no request to wait for.
+    let asks = async move { handle.ask(Request::Home).await };
+    let (mut attempts, mut resumes) = (Attempts::default(), 1);
+    let waits = engine.wait(&job, &mut attempts, Some(&mut resumes));
+    // In this order: it is requested once the cells are awaited.
+    let (next, asked) = futures::join!(waits, asks);
+    assert!(matches!(next, Next::Leave) && asked.is_err(), "{asked:?}");
+    let starts = [&axes.x, &axes.z].map(|axis| axis.starts.load(Ordering::SeqCst));
+    assert_eq!((starts, engine.control.rig()), ([0, 0], RigState::Disarmed));
+    let words = engine.control.inbox.status.borrow().run.as_ref().unwrap().waiting_for.clone();
+    assert_eq!(words.as_deref(), Some(BY_HAND));
+}
+
+#[tokio::test]
+async fn a_homing_for_an_automatic_resume_ends_once_a_person_takes_the_lock_or_operates_the_rig() {
+    for is_locked in [true, false] {
+        let (mut job, (axes, mut engine, handle)) = (job(), with_handle());
+        job.plan.policy.auto_resume_after_s = 0.0;
+        trip(&mut engine, &job);
+        // It would home for minutes.
+        let homes = AxisStatus { moving: true, homed: false, ..axes.x.present() };
+        *axes.x.after_start.lock() = Some(homes);
+        let (x, journal) = (axes.x.clone(), axes.journal.clone());
+        let comes = async move {
+            while x.starts.load(Ordering::SeqCst) == 0 {
+                tokio::time::sleep(Duration::from_millis(5)).await;
+            }
+            if is_locked {
+                *journal.locked_at.lock() = Some(Timestamp::now());
+            } else {
+                handle.ask(Request::Tare).await.unwrap_err();
+            }
+            while x.stops.load(Ordering::SeqCst) == 0 {
+                tokio::time::sleep(Duration::from_millis(5)).await;
+            }
+            x.status.lock().moving = false;
+            let awaited = if is_locked { "the release of the operator lock (ada" } else { BY_HAND };
+            let is_held = |now: &Status| {
+                let words = now.run.as_ref().and_then(|run| run.waiting_for.as_deref());
+                words.is_some_and(|words| words.starts_with(awaited))
+            };
+            // Without a handle there is no request to wait for.
+            let mut status = handle.watch_status();
+            status.wait_for(is_held).await.is_ok()
+        };
+        let (mut attempts, mut resumes) = (Attempts::default(), 1);
+        let waits = engine.wait(&job, &mut attempts, Some(&mut resumes));
+        let both = async { tokio::join!(waits, comes) };
+        let both = tokio::time::timeout(Duration::from_secs(60), both).await;
+        let (next, is_held) = both.expect("the homing ends");
+        assert!(matches!(next, Next::Leave) && is_held);
+        let states = (engine.control.rig(), engine.control.run());
+        assert_eq!(states, (RigState::Disarmed, RunState::Paused(PausedWhy::Trip)));
+    }
+}
