@@ -123,7 +123,8 @@ pub struct Event {
     pub data: serde_json::Value,
 }
 
-/// Durable storage of a run's records.
+/// Durable storage of a run's records. A record that is written again after an error is stored once, also if the first
+/// write was stored.
 ///
 /// # Errors
 /// Every method returns `JournalError` if the store fails or refuses the record.

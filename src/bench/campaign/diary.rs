@@ -181,22 +181,25 @@ impl Writer {
     /// Writes a note, repeatedly until it succeeds; a note that the store refuses is logged.
     async fn write_note(&mut self, note: &Note, at: Timestamp) {
         let mut pause = WRITE_PAUSE[0];
-        let mut waits = false;
+        let (mut waits, mut missing) = (false, 0);
         loop {
-            let missing = self.missing.swap(0, Ordering::Relaxed);
+            if missing == 0 {
+                missing = self.missing.swap(0, Ordering::Relaxed);
+            }
             let written = match missing {
                 0 => Ok(()),
                 n => {
+                    // The same count again: what failed may be stored.
                     let data = json!({ "notes": n });
                     guarded(self.journal.event(None, "diary_gap", data, at)).await.map(|_| ())
                 }
             };
             let written = match written {
-                Ok(()) => guarded(put(self.journal.as_ref(), note, at)).await,
-                Err(error) => {
-                    self.missing.fetch_add(missing, Ordering::Relaxed);
-                    Err(error)
+                Ok(()) => {
+                    missing = 0;
+                    guarded(put(self.journal.as_ref(), note, at)).await
                 }
+                Err(error) => Err(error),
             };
             let Err(error) = written else {
                 if waits {
@@ -206,6 +209,7 @@ impl Writer {
             };
             let words = error_chain(&error);
             if error.refused {
+                self.missing.fetch_add(missing, Ordering::Relaxed);
                 tracing::error!(error = words, ?note, "the store refuses this note");
                 return;
             }

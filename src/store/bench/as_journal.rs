@@ -1,5 +1,6 @@
 //! The store as the `Journal` of the campaign: a record is durable when its method returns.
-//! Uses: the other files of `bench`. Never: SQL, a deadline (the campaign has its own).
+//! Uses: the other files of `bench`. Never: SQL, a deadline (the campaign has its own), a record
+//! twice because its write was repeated after an error.
 
 use async_trait::async_trait;
 use jiff::Timestamp;
@@ -82,8 +83,7 @@ impl Journal for Store {
         data: serde_json::Value,
         at: Timestamp,
     ) -> Result<Event, JournalError> {
-        let writer = self.inner.writer.patient();
-        self.insert_event(writer, run, kind, data, at).await.map_err(StoreError::of("an event"))
+        self.append_event_once(run, kind, data, at).await.map_err(StoreError::of("an event"))
     }
 
     async fn mounted(&self, mounting: &Mounting, at: Timestamp) -> Result<(), JournalError> {

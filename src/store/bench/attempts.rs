@@ -23,7 +23,7 @@ pub struct SkipRow {
 }
 
 impl Store {
-    /// Stores a failed attempt.
+    /// Stores a failed attempt. A repetition after a failure does not store it twice.
     ///
     /// # Errors
     /// `NoSuchRun` if the run is not stored; `Sql` or `Closed` if the write fails.
@@ -36,7 +36,11 @@ impl Store {
         let scan_id = self.facts_to_write(run, OPERATION).await?.scan_id;
         let insert = sqlx::query(
             "INSERT INTO attempts (run, configuration, depth_index, attempt, reason, at)
-             VALUES (?1, ?2, ?3, ?4, ?5, ?6)",
+             SELECT ?1, ?2, ?3, ?4, ?5, ?6 WHERE NOT EXISTS (
+               SELECT 1 FROM attempts
+               WHERE id > (SELECT max(id) - 1000 FROM attempts) AND run = ?1
+                 AND configuration = ?2 AND depth_index = ?3 AND attempt = ?4
+                 AND reason = ?5 AND at = ?6 AND trial IS NULL)",
         )
         .bind(scan_id)
         .bind(attempt.key.configuration)

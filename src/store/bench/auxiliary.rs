@@ -10,7 +10,7 @@ use crate::table::assemble::arm;
 use crate::table::checksum;
 
 impl Store {
-    /// Stores a tare.
+    /// Stores a tare. A repetition after a failure does not store it twice.
     ///
     /// # Errors
     /// `NoSuchRun` if the run is not stored; `Sql` or `Closed` if the write fails.
@@ -22,17 +22,22 @@ impl Store {
             .writer
             .patient()
             .run(OPERATION, async move |connection| {
-                let id: i64 = sqlx::query_scalar(
-                    "INSERT INTO tares (run, configuration, samples, at) VALUES (?1, ?2, ?3, ?4)
+                let id: Option<i64> = sqlx::query_scalar(
+                    "INSERT INTO tares (run, configuration, samples, at)
+                     SELECT ?1, ?2, ?3, ?4 WHERE NOT EXISTS (
+                       SELECT 1 FROM tares
+                       WHERE id > (SELECT max(id) - 1000 FROM tares) AND run = ?1
+                         AND configuration = ?2 AND samples = ?3 AND at = ?4)
                      RETURNING id",
                 )
                 .bind(scan_id)
                 .bind(tare.configuration)
                 .bind(tare.samples)
                 .bind(time_text(tare.at))
-                .fetch_one(&mut *connection)
+                .fetch_optional(&mut *connection)
                 .await
                 .during(OPERATION)?;
+                let Some(id) = id else { return Ok(()) };
                 let into = "INSERT INTO tare_arms (tare, arm, cell_v) ";
                 insert_many(connection, into, &tare.volts, OPERATION, |mut row, _, (arm, volts)| {
                     row.push_bind(id).push_bind(*arm).push_bind(*volts);
@@ -42,7 +47,7 @@ impl Store {
             .await
     }
 
-    /// Stores a reference press with its frame and tips.
+    /// Stores a reference press with its frame and tips. A repetition after a failure does not store it twice.
     ///
     /// # Errors
     /// `NoSuchRun` if the run is not stored; `Sql` or `Closed` if the write fails.
@@ -58,11 +63,15 @@ impl Store {
             .writer
             .patient()
             .run(OPERATION, async move |connection| {
-                let id: i64 = sqlx::query_scalar(
+                let id: Option<i64> = sqlx::query_scalar(
                     "INSERT INTO reference_presses (run, before_configuration, reached_x_mm,
                          reached_y_mm, reached_z_mm, reached_radius_mm, depth_mm, sequence,
                          device_time_us, volts_per_count, counts, at, crc32)
-                     VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12, ?13)
+                     SELECT ?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12, ?13
+                     WHERE NOT EXISTS (
+                       SELECT 1 FROM reference_presses
+                       WHERE id > (SELECT max(id) - 1000 FROM reference_presses) AND run = ?1
+                         AND before_configuration = ?2 AND at = ?12 AND crc32 = ?13)
                      RETURNING id",
                 )
                 .bind(scan_id)
@@ -78,9 +87,10 @@ impl Store {
                 .bind(counts_blob(&press.frame.counts))
                 .bind(time_text(press.at))
                 .bind(checksum::of_frame(&press.frame))
-                .fetch_one(&mut *connection)
+                .fetch_optional(&mut *connection)
                 .await
                 .during(OPERATION)?;
+                let Some(id) = id else { return Ok(()) };
                 let into = "INSERT INTO reference_tips
                      (press, arm, x_mm, y_mm, force_n, cell_v, tare_v) ";
                 insert_tips(connection, into, id, &press.arms, OPERATION).await
@@ -88,7 +98,7 @@ impl Store {
             .await
     }
 
-    /// Stores a touch-off.
+    /// Stores a touch-off. A repetition after a failure does not store it twice.
     ///
     /// # Errors
     /// `Refused` if JSON cannot represent its numbers; `NoSuchRun` if the run is not stored; `Sql` or
@@ -110,7 +120,10 @@ impl Store {
         let query = sqlx::query(
             "INSERT INTO touch_offs
                  (run, tips, surface_z_mm, tip_offsets_mm, touches_mm, at)
-             VALUES (?1, ?2, ?3, ?4, ?5, ?6)",
+             SELECT ?1, ?2, ?3, ?4, ?5, ?6 WHERE NOT EXISTS (
+               SELECT 1 FROM touch_offs
+               WHERE id > (SELECT max(id) - 1000 FROM touch_offs) AND run = ?1 AND tips = ?2
+                 AND surface_z_mm = ?3 AND tip_offsets_mm = ?4 AND touches_mm = ?5 AND at = ?6)",
         )
         .bind(scan_id)
         .bind(found.tips)

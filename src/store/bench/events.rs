@@ -9,6 +9,16 @@ use crate::core::{Store, StoreError, StoreResult};
 use crate::ids::RunUid;
 use crate::journal::Event;
 
+/// Appends an event.
+const APPEND: &str =
+    "INSERT INTO events (run, at, kind, data) VALUES (?1, ?2, ?3, ?4) RETURNING seq";
+
+/// Appends an event, unless it is stored. Also then returns its number.
+const APPEND_ONCE: &str = "INSERT INTO events (seq, run, at, kind, data)
+    SELECT (SELECT seq FROM events WHERE run IS ?1 AND at = ?2 AND kind = ?3 AND data = ?4),
+        ?1, ?2, ?3, ?4
+    WHERE true ON CONFLICT (seq) DO UPDATE SET kind = excluded.kind RETURNING seq";
+
 /// The first `?2` events after `?1` of the kinds `?3`, from those of each kind: a rare kind may be far away, and a scan
 /// by number would read all events in between.
 const OF_KINDS: &str = "SELECT e.*, r.uid FROM events e LEFT JOIN runs r ON r.scan_id = e.run
@@ -38,16 +48,28 @@ impl Store {
         data: serde_json::Value,
     ) -> StoreResult<Event> {
         let at = self.inner.clock.timestamp();
-        self.insert_event(self.inner.writer.clone(), run, kind, data, at).await
+        self.insert_event(self.inner.writer.clone(), APPEND, run, kind, data, at).await
     }
 
-    /// Appends an event with this wall time through `writer`, and returns it with its number.
+    /// Appends an event with this wall time, and returns it with its number. A repetition after a failure does not
+    /// store it twice.
     ///
     /// # Errors
-    /// `NoSuchRun` if the run is not stored; `Sql`, `Late` or `Closed` if the write fails.
-    pub(crate) async fn insert_event(
+    /// `NoSuchRun` if the run is not stored; `Sql` or `Closed` if the write fails.
+    pub(crate) async fn append_event_once(
+        &self,
+        run: Option<RunUid>,
+        kind: &str,
+        data: serde_json::Value,
+        at: Timestamp,
+    ) -> StoreResult<Event> {
+        self.insert_event(self.inner.writer.patient(), APPEND_ONCE, run, kind, data, at).await
+    }
+
+    async fn insert_event(
         &self,
         writer: Writer,
+        append: &'static str,
         run: Option<RunUid>,
         kind: &str,
         data: serde_json::Value,
@@ -65,13 +87,7 @@ impl Store {
             column: "at",
             value: now.clone(),
         })?;
-        let query = sqlx::query(
-            "INSERT INTO events (run, at, kind, data) VALUES (?1, ?2, ?3, ?4) RETURNING seq",
-        )
-        .bind(scan_id)
-        .bind(now)
-        .bind(kind)
-        .bind(data.to_string());
+        let query = sqlx::query(append).bind(scan_id).bind(now).bind(kind).bind(data.to_string());
         let seq = writer.returned(OPERATION, query, |c| c.get("seq")).await?;
         Ok(Event { seq, run, at, kind: kind.to_owned(), data })
     }

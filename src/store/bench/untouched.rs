@@ -27,7 +27,7 @@ pub struct BeforeTrial {
 }
 
 impl Store {
-    /// Stores a frame of the untouched skin.
+    /// Stores a frame of the untouched skin. A repetition after a failure does not store it twice.
     ///
     /// # Errors
     /// `Refused` without a voltage; `NoSuchRun` if the run is not stored; `Sql` or `Closed` if the write
@@ -42,8 +42,11 @@ impl Store {
         let volts = volts_blob(&skin.voltages_v);
         let query = sqlx::query(
             "INSERT INTO untouched_frames (run, at, frame_count, voltages_v, crc32, after_trial)
-             VALUES (?1, ?2, ?3, ?4, ?5,
-                 (SELECT coalesce(max(id), 0) FROM trials WHERE run = ?1))",
+             SELECT ?1, ?2, ?3, ?4, ?5, (SELECT coalesce(max(id), 0) FROM trials WHERE run = ?1)
+             WHERE NOT EXISTS (
+               SELECT 1 FROM untouched_frames
+               WHERE run = ?1 AND at = ?2 AND frame_count = ?3 AND crc32 = ?5
+                 AND after_trial = (SELECT coalesce(max(id), 0) FROM trials WHERE run = ?1))",
         )
         .bind(scan_id)
         .bind(time_text(skin.at))

@@ -6,6 +6,7 @@ mod bulk;
 mod columns;
 mod damage;
 mod datasets;
+mod notes;
 mod once;
 mod people;
 mod runs;

@@ -128,17 +128,17 @@ async fn tips_are_not_known_after_a_manual_run_although_the_clock_was_set_back()
     let said = Mounting { tips: 4, live_cells: 4, who: "Ada".into() };
     let (early, late) = (time("2026-11-20T18:00:00Z"), time("2026-11-20T20:00:00Z"));
     let run = store.create_run(new_run(RunKind::RealRandom)).await.unwrap().uid;
-    let mount = async || {
-        store.mounted(&said, late).await.unwrap();
-        store.event(None, "tips", json!({}), late).await.unwrap();
+    let mount = async |at| {
+        store.mounted(&said, at).await.unwrap();
+        store.event(None, "tips", json!({}), at).await.unwrap();
     };
-    mount().await;
+    mount(late).await;
     assert_eq!(store.last_mounted().await.unwrap(), Some(said.clone()));
     store.run_state(run, StateChange::to(StoredState::Running), early).await.unwrap();
     store.event(Some(run), "state", json!({}), early).await.unwrap();
     store.end_run(run, ExitStatus::Success, "every trial", early).await.unwrap();
     assert_eq!(store.last_mounted().await.unwrap(), None);
-    mount().await;
+    mount(time("2026-11-20T20:00:00.001Z")).await;
     assert_eq!(store.last_mounted().await.unwrap(), Some(said));
 }
 
