@@ -127,9 +127,7 @@ pub const LIST_MAX: u32 = 1000;
 pub const STATUS_AGE_MAX: Duration = Duration::from_secs(10);
 /// Characters of an `Idempotency-Key`.
 pub const ONCE_KEY_MAX_CHARS: usize = 128;
-/// Time for which a request with an `Idempotency-Key` is kept.
-pub const ONCE_KEPT: Duration = Duration::from_secs(24 * 3600);
-/// Requests of one caller that are kept.
+/// Requests with an `Idempotency-Key` of one caller that are kept. Not for a time: the wall clock may jump.
 pub const ONCE_MAX: u32 = 10_000;
 /// Largest response that is kept, bytes.
 pub const ONCE_RESPONSE_MAX_BYTES: usize = 1 << 20;
@@ -240,8 +238,7 @@ mod tests {
             line("rows of a page of trials or of a dataset, by default 100; groups of an answer", MAX_PAGE.to_string(), "400"),
             line("age of the status that a request states with `Status-At`", seconds(STATUS_AGE_MAX), "409, except to pause, stop or abort a run"),
             line("`Idempotency-Key`", format!("{ONCE_KEY_MAX_CHARS} characters"), "400"),
-            line("time for which a request with an `Idempotency-Key` is kept", seconds(ONCE_KEPT), "a repetition is a new request"),
-            line("kept requests of one key, or of all clients without a key", ONCE_MAX.to_string(), "the oldest one is removed"),
+            line("kept requests with an `Idempotency-Key` of one key, or of all clients without a key", ONCE_MAX.to_string(), "the oldest one is removed: its repetition is a new request"),
             line("response to a request with an `Idempotency-Key`", bytes(ONCE_RESPONSE_MAX_BYTES), "not kept: a repetition gets 409"),
             line("parameters of a selection of rows", n(CONDITIONS_MAX), "400"),
             line("values of all conditions of a selection of rows", n(VALUES_MAX), "400"),

@@ -16,9 +16,7 @@ use super::App;
 use super::access::Needs;
 use super::auth::Caller;
 use super::edited;
-use super::limits::{
-    BODY_MAX_BYTES, ONCE_KEPT, ONCE_KEY_MAX_CHARS, ONCE_MAX, ONCE_RESPONSE_MAX_BYTES,
-};
+use super::limits::{BODY_MAX_BYTES, ONCE_KEY_MAX_CHARS, ONCE_MAX, ONCE_RESPONSE_MAX_BYTES};
 use super::problem::{ApiError, ApiResult};
 use crate::digest::Hashing;
 use crate::journal::error_chain;
@@ -94,7 +92,7 @@ async fn keyed(
         Err(_) => return Ok(repeated(other_request())),
     };
     // From here on an entry without a response is one whose outcome is unknown.
-    if let Some(first) = app.store.begin_once(&key, &sha256, ONCE_KEPT, ONCE_MAX).await? {
+    if let Some(first) = app.store.begin_once(&key, &sha256, ONCE_MAX).await? {
         return Ok(repeated(repetition(&sha256, first).unwrap_or_else(ApiError::into_response)));
     }
     let (response, read) = read(edited::carry_out(app, needs, request, next).await).await?;

@@ -1,12 +1,11 @@
 //! Requests that are carried out once: which began, and with which response they ended.
-//! Uses: `core::writer`. Never: the meaning of a request; HTTP.
-
-use std::time::Duration;
+//! Uses: `core::writer`. Never: the meaning of a request; HTTP; a request forgotten by its age: the
+//! wall clock may jump.
 
 use jiff::Timestamp;
 use sqlx::sqlite::{SqliteConnection, SqliteRow};
 
-use super::columns::{Columns, time_text};
+use super::columns::Columns;
 use super::{During, Store, StoreResult};
 
 /// Name of a request: the caller, and the key that it chose.
@@ -65,8 +64,8 @@ impl OnceRow {
 }
 
 impl Store {
-    /// Stores that a request begins, and removes requests that are older than `kept`, and all except the
-    /// newest `most` of its caller. If one with the same key began before, returns that one instead.
+    /// Stores that a request begins, and removes all except the newest `most` of its caller. If one with the same key
+    /// began before, returns that one instead.
     ///
     /// # Errors
     /// `Sql`, `Late` or `Closed` if the write fails.
@@ -74,20 +73,11 @@ impl Store {
         &self,
         key: &OnceKey,
         request: &str,
-        kept: Duration,
         most: u32,
     ) -> StoreResult<Option<OnceRow>> {
         const OPERATION: &str = "storing that a request begins";
-        let now = self.inner.clock.timestamp();
-        // A duration that reaches before the first time keeps everything.
-        let oldest = time_text(now.checked_sub(kept).unwrap_or(Timestamp::MIN));
-        let (key, request, now) = (key.clone(), request.to_owned(), time_text(now));
+        let (key, request, now) = (key.clone(), request.to_owned(), self.now_text());
         self.write(OPERATION, async move |connection| {
-            sqlx::query("DELETE FROM requests_once WHERE began_at < ?1")
-                .bind(oldest)
-                .execute(&mut *connection)
-                .await
-                .during(OPERATION)?;
             let inserted = sqlx::query(
                 "INSERT INTO requests_once (caller, name, request, began_at)
                  VALUES (?1, ?2, ?3, ?4) ON CONFLICT DO NOTHING",
