@@ -25,7 +25,7 @@ const FINISHED_POLL: Duration = Duration::from_secs(5);
 const END_POLL: Duration = Duration::from_millis(500);
 /// Number of such checks for its last twins.
 const END_POLLS: u32 = 20;
-/// Number of ended runs that are checked, the last one to end first.
+/// Number of ended runs that are checked, the last ones by their times, and as many of the newest.
 const CHECKED_RUNS: u32 = 20;
 /// Number of tries to make a dataset that fail although nothing is wrong with the request.
 const DATASET_TRIES: u32 = 10;

@@ -70,13 +70,19 @@ impl Store {
         Ok(RunPage { runs, next })
     }
 
-    /// Returns at most `limit` runs that have ended, the last one to end first.
+    /// Returns the `limit` runs that ended last by their times, and the `limit` newest ones of those that have ended, whose
+    /// times are earlier if the clock was set back. The last one to end comes first.
     ///
     /// # Errors
     /// `Sql` or `Unreadable` if the read fails.
     pub async fn ended_runs(&self, limit: u32) -> StoreResult<Vec<RunRow>> {
         let query = sqlx::query(
-            "SELECT * FROM runs WHERE state = 'ended' ORDER BY ended_at DESC, scan_id DESC LIMIT ?1",
+            "SELECT * FROM runs WHERE scan_id IN (
+                 SELECT * FROM (SELECT scan_id FROM runs WHERE state = 'ended'
+                     ORDER BY ended_at DESC, scan_id DESC LIMIT ?1)
+                 UNION SELECT * FROM (SELECT scan_id FROM runs WHERE state = 'ended'
+                     ORDER BY scan_id DESC LIMIT ?1))
+             ORDER BY ended_at DESC, scan_id DESC",
         )
         .bind(i64::from(limit));
         self.rows("reading ended runs", query, RunRow::read).await

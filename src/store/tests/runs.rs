@@ -278,7 +278,12 @@ async fn the_last_run_to_end_is_found_behind_newer_runs() {
     store.run_state(uids[0], StateChange::to(StoredState::Running), at[1]).await.unwrap();
     assert_eq!(ended(2).await, [2]);
     store.end_run(uids[0], ExitStatus::Success, "finished", at[1]).await.unwrap();
-    assert_eq!(ended(1).await, [1]);
+    assert_eq!(ended(1).await, [1, 2], "and the newest of those that have ended");
+    // The clock is set back.
+    let early = time("2026-11-19T18:00:00Z");
+    store.end_run(uids[2], ExitStatus::Success, "finished", early).await.unwrap();
+    assert_eq!(ended(1).await, [1, 3], "the last one to end is the newest");
+    assert_eq!(ended(9).await, [1, 2, 3]);
 }
 
 #[tokio::test]
