@@ -18,6 +18,10 @@ use crate::plain::bytes;
 use crate::record::PlacedContact;
 use crate::state::{PausedWhy, StoredState};
 
+/// What a restart means for a run that waits while the database fails.
+const NOT_STORED: &str = " The database does not take this: if the service is started again before it does, \
+                          the run may resume automatically.";
+
 /// What a need is of.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
@@ -107,6 +111,8 @@ pub(super) struct Around<'a> {
     pub space: Option<(u64, u64)>,
     /// What may suspend the active run.
     pub suspenders: &'a [Suspender],
+    /// Whether the active run waits, and is stored as one that a restart resumes.
+    pub is_unstored: bool,
 }
 
 /// What a person must do, the most urgent first; empty if nothing.
@@ -114,7 +120,8 @@ pub(super) fn needs(status: &Status, around: Around<'_>) -> Vec<Need> {
     let mut needs = of_rig(status);
     let is_of_rig =
         status.rig.motion.is_some() || needs.iter().any(|need| need.kind != NeedKind::NotStopped);
-    needs.extend(status.run.as_ref().and_then(|run| of_run(run, status, is_of_rig)));
+    let is_unstored = around.is_unstored;
+    needs.extend(status.run.as_ref().and_then(|run| of_run(run, status, is_of_rig, is_unstored)));
     let start = |words| Need::new(NeedKind::Start, Importance::Act, sentence(words), None);
     needs.extend(around.not_begun.map(start));
     needs.extend(ahead(around));
@@ -193,8 +200,8 @@ fn of_rig(status: &Status) -> Vec<Need> {
 }
 
 /// What the active run waits for. `is_of_rig`: the rig moves or needs something first, which is why the run would not
-/// continue.
-fn of_run(run: &RunStatus, status: &Status, is_of_rig: bool) -> Option<Need> {
+/// continue. `is_unstored`: a restart would resume it.
+fn of_run(run: &RunStatus, status: &Status, is_of_rig: bool, is_unstored: bool) -> Option<Need> {
     let why = run.paused_why?;
     let (kind, next) = match why {
         PausedWhy::TipChange => (NeedKind::Tips, ActionOnRun::Confirm),
@@ -205,14 +212,17 @@ fn of_run(run: &RunStatus, status: &Status, is_of_rig: bool) -> Option<Need> {
     };
     let stands = run.state == StoredState::Paused && run.phase == Phase::Wait && !is_of_rig;
     let refused = stands.then(|| next.refused(status)).flatten();
-    let is_pause = why == PausedWhy::Operator;
-    let importance = if is_pause && refused.is_none() { Importance::Look } else { Importance::Act };
+    let may_stay = why == PausedWhy::Operator && refused.is_none() && !is_unstored;
+    let importance = if may_stay { Importance::Look } else { Importance::Act };
     let detail = run.waiting_for.as_ref().map_or_else(String::new, |words| format!(": {words}"));
     let cause = format!("{}{detail}{}", why.about(), weights(run));
     let head = if kind == NeedKind::Resume { "the run waits: " } else { "" };
     let mut words = sentence(&format!("{head}{cause}"));
     if let Some(refused) = refused {
         words += &format!(" Not yet: {refused}.");
+    }
+    if is_unstored {
+        words += NOT_STORED;
     }
     Some(Need::new(kind, importance, words, run.waits_since))
 }
@@ -390,6 +400,18 @@ pub(super) mod tests {
     }
 
     #[test]
+    fn a_pause_that_the_database_does_not_take_needs_a_person() {
+        let mut waits = status(RigState::Homed);
+        waits.run = Some(waiting(PausedWhy::Operator));
+        let around = Around { is_unstored: true, ..Around::default() };
+        let need = needs(&waits, around).remove(0);
+        assert_eq!((need.kind, need.importance), (NeedKind::Resume, Importance::Act));
+        assert_eq!(need.words, format!("The run waits: a person paused it.{NOT_STORED}"));
+        waits.run = None;
+        assert!(needs(&waits, around).is_empty());
+    }
+
+    #[test]
     fn what_a_person_must_do_comes_before_what_one_should_look_at() {
         let one = |name: &str, suspends| Suspender {
             name: name.into(),
@@ -405,6 +427,7 @@ pub(super) mod tests {
             not_begun: Some("run 13 (short) does not begin by itself: start it again"),
             space: Some((1_000_000_000, 14_000_000_000)),
             suspenders: &suspenders,
+            is_unstored: false,
         };
         let needs = needs(&status(RigState::Homed), around);
         let words: Vec<&str> = needs.iter().map(|need| need.words.as_str()).collect();

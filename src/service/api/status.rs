@@ -4,7 +4,7 @@
 use std::sync::Arc;
 
 use axum::Json;
-use jiff::Timestamp;
+use jiff::{SignedDuration, Timestamp};
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
@@ -17,10 +17,13 @@ use super::problem::ApiResult;
 use super::refusals::{self, ActionStatus};
 use super::suspenders::{Readings, Suspender};
 use crate::campaign::shown::status::Status;
-use crate::conductor::room;
+use crate::conductor::{resumes_automatically, room};
 use crate::ids::RunUid;
 use crate::schedule::experiment::{Experiment, TwinLimits};
 use crate::store::{LockRow, StoreError, StoreResult};
+
+/// Time after which a pause is stored, unless the database fails, wall.
+const STORED_WITHIN: SignedDuration = SignedDuration::from_secs(3);
 
 /// Status of rig, run and service.
 #[derive(Debug, Clone, Serialize, ToSchema)]
@@ -82,6 +85,8 @@ pub(super) struct StoredPart {
     /// Space that the queued runs need, bytes.
     queue_bytes: u64,
     last_trial_at: Option<Timestamp>,
+    /// The active run, if a service that starts now would resume it automatically.
+    resumes: Option<RunUid>,
     /// Limits of the fit of the active run; absent without one.
     limits: Option<Arc<TwinLimits>>,
     /// Name and number of trials of the first run of the queue.
@@ -123,13 +128,14 @@ impl App {
         let queue = self.store.queue().await?;
         let channels = self.serving.sensor().channels() as u64;
         let active = self.campaign.status().run.map(|run| run.uid);
-        let (last_trial_at, limits, predicted) = match active {
+        let (last_trial_at, limits, predicted, row) = match active {
             Some(run) => (
                 self.store.last_trial_at(run).await?,
                 self.limits_of(run).await?,
                 self.facts.memory.predicted.get(run, predicted(&self.store, run)).await?,
+                self.store.run(run).await?,
             ),
-            None => (None, None, None),
+            None => (None, None, None, None),
         };
         let mut queue_bytes = 0;
         for run in &queue {
@@ -145,6 +151,7 @@ impl App {
             not_begun: self.conductor.not_begun().await?,
             queue_bytes,
             last_trial_at,
+            resumes: row.filter(resumes_automatically).map(|row| row.uid),
             limits,
             next: queue.first().map(|run| (run.experiment.clone(), run.trials_planned)),
             predicted,
@@ -190,10 +197,15 @@ impl App {
         let suspenders = self.facts.memory.beyond.suspenders(readings.as_ref(), Timestamp::now());
         let of_run = campaign.run.as_ref().map_or(0, |run| run.needed_bytes);
         let needed_bytes = of_run + stored.queue_bytes;
+        let waits = campaign.run.as_ref().and_then(|run| Some((run.uid, run.waits_since?)));
         let around = Around {
             not_begun: stored.not_begun.as_deref(),
             space: free_bytes.map(|free_bytes| (free_bytes, needed_bytes)),
             suspenders: &suspenders,
+            is_unstored: waits.is_some_and(|(run, since)| {
+                let is_late = Timestamp::now().duration_since(since) > STORED_WITHIN;
+                is_late && stored.resumes == Some(run)
+            }),
         };
         let facts = Facts {
             next: stored.next.as_ref().map(|(name, trials)| (name.as_str(), *trials)),

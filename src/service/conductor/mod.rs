@@ -46,7 +46,7 @@ pub use error::{ConductorError, ConductorResult};
 use prepare::{Prepared, same_label};
 pub use prepare::{Submission, run_kind};
 pub use queue::Terms;
-pub use restart::AutoResume;
+pub use restart::{AutoResume, resumes_automatically};
 
 /// Time for which a code from arming is valid, wall.
 const CODE_VALID: Duration = Duration::from_secs(600);

@@ -50,9 +50,14 @@ impl TakenOver {
                 None => kept.push(run),
             }
         }
-        let driven = open.into_iter().rfind(|run| may_resume && run.auto_resume && was_driven(run));
+        let driven = open.into_iter().rfind(|run| may_resume && resumes_automatically(run));
         Self { driven, waiting: kept, dropped }
     }
+}
+
+/// Whether a service that starts now, and may resume runs, resumes this one: its row is all that it knows.
+pub fn resumes_automatically(run: &RunRow) -> bool {
+    run.auto_resume && was_driven(run)
 }
 
 /// Whether a run was driven without a person. A run that waited for a person, was tripped, or was
