@@ -20,7 +20,7 @@ use serde_json::json;
 use tokio::sync::{mpsc, oneshot};
 use tracing::{Instrument, Span};
 
-use crate::ids::{RunUid, TrialKey};
+use crate::ids::RunUid;
 use crate::journal::{ExitStatus, Journal, JournalError, Mounting, error_chain};
 use crate::record::{
     AttemptRecord, ReferenceRecord, TareRecord, TouchOffRecord, TrialRecord, Untouched,
@@ -60,8 +60,6 @@ pub enum Note {
     TouchOff(RunUid, TouchOffRecord),
     /// A configuration that was given up: index and reason.
     Skip(RunUid, u32, String),
-    /// A trial that was withdrawn: key and reason.
-    Discard(RunUid, TrialKey, String),
     /// Tips that a person has entered as mounted.
     Mounted(Mounting),
 }
@@ -271,10 +269,6 @@ fn log(note: &Note) {
         Note::Skip(_, configuration, reason) => {
             tracing::warn!(configuration, reason, "a configuration was given up");
         }
-        Note::Discard(_, key, reason) => {
-            let (configuration, depth_index) = (key.configuration, key.depth_index);
-            tracing::info!(configuration, depth_index, reason, "a trial was withdrawn");
-        }
         Note::Event { kind, data, .. } => match kind.as_str() {
             "trip" => {
                 let (cause, detail) = (data["kind"].as_str(), data["detail"].as_str());
@@ -317,7 +311,6 @@ async fn put(journal: &dyn Journal, note: &Note, at: Timestamp) -> Result<(), Jo
         Note::Skip(run, configuration, reason) => {
             journal.skip(*run, *configuration, reason, at).await
         }
-        Note::Discard(run, key, reason) => journal.discard(*run, *key, reason).await,
         Note::Mounted(mounting) => journal.mounted(mounting, at).await,
     }
 }

@@ -2,6 +2,7 @@
 //! that takes everything.
 //! Uses: `rig::traits`, `journal`. Never: in a program.
 
+use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::Duration;
@@ -298,6 +299,10 @@ impl StandIns {
 /// A journal that takes everything and keeps only the kinds of the events.
 #[derive(Debug, Default)]
 pub struct Forgetful {
+    /// Keys of the trials that are stored.
+    pub stored: Mutex<BTreeSet<TrialKey>>,
+    /// Whether it discards none of them, as on a full disk.
+    pub discards_fail: AtomicBool,
     /// Kind of each event.
     pub events: Mutex<Vec<String>>,
     /// When a person took the operator lock.
@@ -334,12 +339,16 @@ impl Journal for Forgetful {
         Ok(())
     }
 
-    async fn discard(&self, _: RunUid, _: TrialKey, _: &str) -> Result<(), JournalError> {
+    async fn discard(&self, _: RunUid, key: TrialKey, _: &str) -> Result<(), JournalError> {
+        if self.discards_fail.load(Ordering::SeqCst) {
+            return Err(JournalError::of("a discarded trial", "database or disk is full"));
+        }
+        self.stored.lock().remove(&key);
         Ok(())
     }
 
     async fn progress(&self, _: RunUid) -> Result<Progress, JournalError> {
-        Ok(Progress::default())
+        Ok(Progress { stored: self.stored.lock().clone(), ..Progress::default() })
     }
 
     async fn run_state(&self, _: RunUid, _: StateChange, _: Timestamp) -> Result<(), JournalError> {

@@ -8,8 +8,7 @@ use super::skin::next_window;
 use super::{Answer, Attempts, Engine, IDLE_TICK, Last, Next, Owed, Waited};
 use crate::campaign::bench::rig_state::RigState;
 use crate::campaign::bench::stage::Height;
-use crate::campaign::diary::Note;
-use crate::campaign::run::control::name;
+use crate::campaign::run::control::{STORE_LIMIT, name};
 use crate::campaign::run::job::Job;
 use crate::campaign::run::run_state::{PausedWhy, RunAction, RunEvent, RunState};
 use crate::campaign::shown::command::{Envelope, Refusal, Request};
@@ -186,7 +185,7 @@ impl Engine {
                 waited
             }
             Request::Repeat { trial, why } => {
-                let repeated = self.repeat(job, trial, last, &why).await;
+                let repeated = self.repeat(job, trial, last, &why, &answer).await;
                 let waited = repeated.is_ok().then_some(Waited::Repeat);
                 let _ = answer.send(repeated);
                 waited
@@ -300,13 +299,14 @@ impl Engine {
     }
 
     /// Withdraws a stored placement: the named one, otherwise the last one that was measured since the
-    /// start of the service. Before that one, which trial a person means is not known.
+    /// start of the service. Before that one, which trial a person means is not known. After a refusal it stays stored.
     async fn repeat(
         &mut self,
         job: &Job,
         trial: Option<u32>,
         last: Last,
         why: &str,
+        answer: &Answer,
     ) -> Result<(), Refusal> {
         let failed = |e| Refusal::State(error_chain(&e));
         let Some(awaited) = self.wanted_trial() else {
@@ -332,8 +332,20 @@ impl Engine {
         if !progress.stored.contains(&key) {
             return Err(Refusal::State(format!("trial {configuration} is not stored")));
         }
-        self.control.diary.note(Note::Discard(job.run, key, why.into()));
+        if answer.is_closed() {
+            return Err(Refusal::Gone);
+        }
+        // Not by the diary, which would withdraw it later although its caller was told that it failed.
+        let withdrawn = self.control.journal.discard(job.run, key, why);
+        let Ok(withdrawn) = tokio::time::timeout(STORE_LIMIT, withdrawn).await else {
+            let words = format!(
+                "the store does not answer: read later whether trial {configuration} is stored"
+            );
+            return Err(Refusal::State(words));
+        };
+        withdrawn.map_err(failed)?;
+        tracing::info!(configuration, reason = why, "a trial was withdrawn");
         self.control.say("repeat", json!({ "trial": key, "why": why }));
-        self.control.flush().await.map_err(failed)
+        Ok(())
     }
 }

@@ -38,6 +38,7 @@ mod motions;
 mod owed;
 mod pausing;
 mod pressing;
+mod repeating;
 mod sideways;
 
 /// An engine whose wires to the axes of stand-ins are open; the rig is disarmed.
