@@ -274,7 +274,7 @@ pub(super) mod tests {
         status
     }
 
-    fn waiting(why: PausedWhy) -> RunStatus {
+    pub fn waiting(why: PausedWhy) -> RunStatus {
         let wanted = (why == PausedWhy::ManualTrial).then(|| Wanted::Placement {
             trial: 3,
             contacts: vec![PlacedContact { x_mm: 1.0, y_mm: 2.0, force_n: 4.905 }],

@@ -9,10 +9,10 @@ use utoipa::ToSchema;
 
 use super::App;
 use super::problem::{ApiError, ApiResult};
-use crate::campaign::shown::command::Request;
+use crate::campaign::shown::command::{Refusal, Request};
 use crate::campaign::shown::placement::{Confirmation, VerdictKind};
 use crate::campaign::shown::run_action::ActionOnRun;
-use crate::campaign::shown::status::{Done, Phase, RunStatus};
+use crate::campaign::shown::status::{Done, Phase, RunStatus, Status, Wanted};
 use crate::ids::{RunUid, TrialId};
 use crate::placement::verdict::{AskedContact, Verdict};
 use crate::placement::watch::{Awaited, Felt, Judged};
@@ -140,15 +140,16 @@ fn stage(run: &RunStatus, trial: u32) -> Option<Stage> {
 /// The request that confirms what a run waits for. A placement is judged first.
 ///
 /// # Errors
-/// 409 with the reasons if the skin contradicts the placement, unless it is to be stored anyway.
+/// 409 if the run waits for nothing now, or with the reasons if the skin contradicts the placement, unless it is to be
+/// stored anyway.
 pub async fn confirmation(
     app: &App,
-    mut done: Done,
+    done: Done,
     mut confirmation: Confirmation,
 ) -> ApiResult<Request> {
     let status = app.campaign.status();
-    let wanted = status.run.as_ref().and_then(|run| run.wanted.clone());
-    let Some(awaited) = Awaited::of(&status).filter(|_| wanted.is_some_and(|w| done.fits(&w)))
+    let done = completed(done, &status)?;
+    let Some(awaited) = Awaited::of(&status).filter(|awaited| done.trial == Some(awaited.trial))
     else {
         // A tip change, or a confirmation that the campaign refuses.
         return Ok(Request::Confirm { done, confirmation });
@@ -162,8 +163,49 @@ pub async fn confirmation(
         );
         return Err(ApiError::new(StatusCode::CONFLICT, words));
     }
-    // The verdict holds for this placement only.
-    done.trial = Some(awaited.trial);
     confirmation.verdict = verdict.kind;
     Ok(Request::Confirm { done, confirmation })
+}
+
+/// What a person has done, with what the run waits for now in place of what is not stated: it must not confirm what the
+/// run waits for when the campaign reads it, for example the next placement, which was not judged.
+///
+/// # Errors
+/// A refusal if the run waits for nothing now.
+fn completed(done: Done, status: &Status) -> Result<Done, Refusal> {
+    if let Some(words) = ActionOnRun::Confirm.refused(status) {
+        return Err(Refusal::State(words));
+    }
+    Ok(match status.run.as_ref().and_then(|run| run.wanted.as_ref()) {
+        // The campaign refuses what does not fit.
+        Some(wanted) if !done.fits(wanted) => done,
+        Some(Wanted::Tips { tips }) => Done { tips: Some(*tips), ..done },
+        Some(Wanted::Placement { trial, .. }) => Done { trial: Some(*trial), ..done },
+        None => done,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::needs::tests::{status, waiting};
+    use super::*;
+    use crate::campaign::bench::rig_state::RigState;
+    use crate::state::{PausedWhy, StoredState};
+
+    #[test]
+    fn a_confirmation_is_of_what_the_run_waits_for_when_it_arrives() {
+        let (mut now, unstated) = (status(RigState::Homed), Done::default());
+        assert!(completed(unstated, &now).is_err(), "no run is active");
+        now.run = Some(waiting(PausedWhy::ManualTrial));
+        assert_eq!(completed(unstated, &now), Ok(Done { trial: Some(3), tips: None }));
+        let other = Done { trial: Some(2), tips: None };
+        assert_eq!(completed(other, &now), Ok(other), "the campaign refuses it");
+        let wanted = Some(Wanted::Tips { tips: 4 });
+        now.run = Some(RunStatus { wanted, ..waiting(PausedWhy::TipChange) });
+        assert_eq!(completed(unstated, &now), Ok(Done { trial: None, tips: Some(4) }));
+        // It is measured now: what the run waits for next is not confirmed.
+        let run = now.run.as_mut().unwrap();
+        (run.state, run.paused_why, run.wanted) = (StoredState::Running, None, None);
+        assert!(completed(unstated, &now).is_err());
+    }
 }
