@@ -62,6 +62,8 @@ pub async fn measure(
     let before = skin.counters();
     let frames = skin.take(clock.now(), plan_measure.frames_per_trial as usize).await?;
     let after = skin.counters();
+    // Nothing is stored of weights that lay while the computer was suspended.
+    control.attend()?;
     let dropped = (after.missed - before.missed) + (after.garbled - before.garbled);
     let quality = FrameQuality {
         dropped_packets: Some(dropped as u32),

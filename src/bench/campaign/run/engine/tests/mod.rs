@@ -37,8 +37,8 @@ mod attended;
 mod motions;
 mod owed;
 mod pausing;
+mod placing;
 mod pressing;
-mod repeating;
 mod sideways;
 
 /// An engine whose wires to the axes of stand-ins are open; the rig is disarmed.
