@@ -296,7 +296,7 @@ impl StandIns {
     }
 }
 
-/// A journal that takes everything and keeps only the kinds of the events.
+/// A journal that takes everything and keeps only the kinds of the events; which trials are stored a test states.
 #[derive(Debug, Default)]
 pub struct Forgetful {
     /// Keys of the trials that are stored.
