@@ -14,7 +14,7 @@ use super::client::Client;
 use super::error::{CliError, CliResult};
 use super::find::find_run;
 use super::key::key;
-use super::output::{counted, duration, note, say, say_json};
+use super::output::{counted, duration, grouped, note, say, say_json};
 use super::view::StatusView;
 use super::{At, embed, workers};
 use crate::campaign::bench::stopping::StoppingDistance;
@@ -375,7 +375,8 @@ fn twin_words(twins: &Value) -> Option<String> {
     let fit = fit.map_or_else(String::new, |fvu| format!(", recent median FVU {fvu:.2}"));
     let failed = twins["pool"]["last_error"].as_str();
     let failed = failed.map_or_else(String::new, |why| format!("; {why}"));
-    Some(format!("twins    {} of {trials}{fit}{failed}", trials - pending))
+    let (made, trials) = (grouped(trials - pending), grouped(trials));
+    Some(format!("twins    {made} of {trials}{fit}{failed}"))
 }
 
 fn run_words(run: &RunStatus) -> Vec<String> {
@@ -389,7 +390,9 @@ fn run_words(run: &RunStatus) -> Vec<String> {
     let retries = counted(run.retries, "retry", "retries");
     lines.push(format!(
         "trials   {} of {}, {} skipped, {retries}",
-        run.trials_stored, run.trials_planned, run.trials_skipped
+        grouped(run.trials_stored),
+        grouped(run.trials_planned),
+        grouped(run.trials_skipped)
     ));
     if let Some(eta) = run.eta {
         let (low, high) = (duration(eta.low_s), duration(eta.high_s));

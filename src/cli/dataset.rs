@@ -16,7 +16,7 @@ use super::files::read_as;
 use super::import::{ImportArgs, import};
 use super::making;
 use super::next::Next;
-use super::output::bytes;
+use super::output::{bytes, grouped};
 use super::table::{Table, or_dash};
 use super::times::local;
 use super::view::rows;
@@ -141,7 +141,7 @@ async fn list(client: &Client, at: &At) -> CliResult<()> {
         table.push([
             text_of(&row["id"]),
             text_of(&row["name"]),
-            row["rows"].to_string(),
+            grouped(row["rows"].as_u64().unwrap_or_default()),
             bytes(row["bytes"].as_f64().unwrap_or_default()),
             or_dash(time("created_at")),
             or_dash(time("last_used_at")),
@@ -235,7 +235,9 @@ async fn make(client: &Client, args: &MakeArgs) -> CliResult<()> {
 
 /// A dataset, as text.
 fn described(row: &Value, url: &str) -> String {
-    let (name, id, rows) = (text_of(&row["name"]), text_of(&row["id"]), &row["rows"]);
+    let (name, id) = (text_of(&row["name"]), text_of(&row["id"]));
+    let number = |value: &Value| grouped(value.as_u64().unwrap_or_default());
+    let rows = number(&row["rows"]);
     let length = bytes(row["bytes"].as_f64().unwrap_or_default());
     let mut words = format!("{name} {id}: {rows} rows, {length}");
     if row["is_current"] == false {
@@ -244,7 +246,8 @@ fn described(row: &Value, url: &str) -> String {
     let counts = [("part", "parts"), ("contacts", "contact_counts"), ("excluded", "left_out")];
     for (heading, key) in counts {
         for (what, rows) in row["report"][key].as_object().into_iter().flatten() {
-            words += &format!("\n  {heading:<9} {what:<44} {rows:>8}");
+            let rows = number(rows);
+            words += &format!("\n  {heading:<9} {what:<44} {rows:>9}");
         }
     }
     words += "\n  pandas.read_parquet(..), polars.scan_parquet(..) or DuckDB's read_parquet(..) of";

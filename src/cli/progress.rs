@@ -43,7 +43,7 @@ impl Counted {
         self.bar.set_length(total);
         self.bar.set_position(done);
         let unit = self.unit;
-        self.lines.say(|| format!("{done} of {total} {unit}"));
+        self.lines.say(|| format!("{} of {} {unit}", grouped(done), grouped(total)));
     }
 
     /// Shows that further units are done.

@@ -13,7 +13,7 @@ use super::client::Client;
 use super::error::CliResult;
 use super::files::ExperimentFiles;
 use super::find::find_run;
-use super::output::{duration, say, say_json};
+use super::output::{duration, grouped, say, say_json};
 use super::run::submission;
 use super::table::{Table, or_dash};
 use super::times::{StartTime, local, second};
@@ -151,7 +151,7 @@ async fn list(client: &Client, json: bool) -> CliResult<()> {
             or_dash(run.queue_position),
             run.scan_id.to_string(),
             run.experiment,
-            run.trials_planned.to_string(),
+            grouped(run.trials_planned),
             run.submitted_by,
             run.not_before.map_or_else(String::new, local),
             or_dash(time.and_then(|time| time.duration_s).map(duration)),

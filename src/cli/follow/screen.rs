@@ -9,7 +9,7 @@ use serde_json::json;
 use tokio::time::Instant;
 
 use crate::campaign::shown::status::{Eta, RunStatus};
-use crate::cli::output::{counted, duration, note, say_json, shown, terminal_width};
+use crate::cli::output::{counted, duration, grouped, note, say_json, shown, terminal_width};
 use crate::cli::progress::{PROGRESS_LINES, bar};
 use crate::cli::view::StatusView;
 use crate::state::StoredState;
@@ -32,7 +32,7 @@ pub(super) struct Screen {
 impl Screen {
     pub(super) fn new(json: bool, url: &str) -> Self {
         let terminal = std::io::stderr().is_terminal();
-        let bar = bar(&format!("{{bar:{BAR_COLUMNS}}} {{pos}}/{{len}} {{wide_msg}}"));
+        let bar = bar(&format!("{{bar:{BAR_COLUMNS}}} {{human_pos}}/{{human_len}} {{wide_msg}}"));
         Self { bar, terminal, json, url: url.to_owned(), told: None, stored: None }
     }
 
@@ -40,14 +40,15 @@ impl Screen {
         self.bar.set_length(run.trials_planned);
         self.bar.set_position(run.trials_stored + run.trials_skipped);
         let wait = wait_words(run, &self.url);
-        let counts = format!("{}/{}", run.trials_stored + run.trials_skipped, run.trials_planned);
+        let done = grouped(run.trials_stored + run.trials_skipped);
+        let counts = format!("{done}/{}", grouped(run.trials_planned));
         let room =
             terminal_width().map(|width| width.saturating_sub(BAR_COLUMNS + counts.len() + 2));
         let words = |band| shown(progress_words(run, status, wait.as_deref(), band));
         let words = fitting(room, words(true), || words(false));
         if !self.terminal && self.is_due(wait.as_deref()) {
             self.told = Some((Instant::now(), wait));
-            note(format_args!("{}/{} {words}", run.trials_stored, run.trials_planned));
+            note(format_args!("{counts} {words}"));
         }
         self.bar.set_message(words);
         if self.json && self.stored != Some(run.trials_stored) {
@@ -119,7 +120,7 @@ fn progress_words(run: &RunStatus, status: &StatusView, wait: Option<&str>, band
     }
     parts.extend(run.eta.map(|eta| eta_words(&eta, band)));
     if run.trials_skipped > 0 {
-        parts.push(format!("{} skipped", run.trials_skipped));
+        parts.push(format!("{} skipped", grouped(run.trials_skipped)));
     }
     if run.retries > 0 {
         parts.push(counted(run.retries, "retry", "retries"));
