@@ -1,12 +1,14 @@
 //! Output lines for people and for scripts, and numbers with units. All text for people passes through
 //! here: names and notes that other people entered must not control the terminal.
-//! Uses: `plain`. Never: HTTP, decisions. A closed standard output is not an error.
+//! Uses: `plain`, the wrapping of `help`. Never: HTTP, decisions. A closed standard output is not an error.
 
+use std::borrow::Cow;
 use std::fmt::Display;
 use std::io::{self, IsTerminal, Write};
 
 use serde::Serialize;
 
+use super::help::wrapped;
 use crate::plain::escaped_lines;
 pub use crate::plain::{bytes, counted, duration, grouped};
 
@@ -29,14 +31,49 @@ impl Output {
     }
 }
 
-/// Prints one or several lines on standard output.
+/// Prints one or several lines on standard output; on a terminal wrapped to its width.
 pub fn say(text: impl Display) {
+    let _ = writeln!(io::stdout().lock(), "{}", fitted(&shown(text), terminal_width()));
+}
+
+/// Prints a text that is copied or read by programs, such as a file, on standard output: its lines stay whole.
+pub fn say_whole(text: impl Display) {
     let _ = writeln!(io::stdout().lock(), "{}", shown(text));
 }
 
-/// Prints one or several lines on standard error.
+/// Prints one or several lines on standard error; on a terminal wrapped to its width.
 pub fn note(text: impl Display) {
-    let _ = writeln!(io::stderr().lock(), "{}", shown(text));
+    let _ = writeln!(io::stderr().lock(), "{}", fitted(&shown(text), error_width()));
+}
+
+/// Wraps the lines that are longer than a terminal is wide, at spaces: further lines begin below the text that follows
+/// the name of the line. Elsewhere lines stay whole.
+fn fitted(text: &str, width: Option<usize>) -> Cow<'_, str> {
+    let is_long = |line: &str, width: usize| line.chars().count() > width;
+    let Some(width) = width.filter(|width| text.lines().any(|line| is_long(line, *width))) else {
+        return text.into();
+    };
+    let lines = text.split('\n').map(|line| {
+        let (name, rest) = line.split_at(begin_of_text(line, width / 2));
+        let indent = name.chars().count();
+        match is_long(line, width) {
+            true => {
+                let rest = wrapped(rest, width - indent);
+                format!("{name}{}", rest.replace('\n', &format!("\n{:indent$}", "")))
+            }
+            false => line.to_owned(),
+        }
+    });
+    lines.collect::<Vec<_>>().join("\n").into()
+}
+
+/// Where the text of a line begins, bytes: after its indentation, and after a name with two spaces or more behind it, at
+/// most `most` bytes from the start of the line.
+fn begin_of_text(line: &str, most: usize) -> usize {
+    let indentation = line.len() - line.trim_start_matches(' ').len();
+    let gap = line[indentation..].find("  ").map(|at| indentation + at);
+    let after = gap.map(|gap| line.len() - line[gap..].trim_start_matches(' ').len());
+    [after, Some(indentation)].into_iter().flatten().find(|at| *at <= most).unwrap_or(0)
 }
 
 /// Prints a text that is safe already, such as a drawn error with colours, on standard error.
@@ -58,7 +95,16 @@ pub fn say_drawn(picture: &str) {
 
 /// Width of the terminal behind standard output, characters; `None` if it is not a terminal.
 pub fn terminal_width() -> Option<usize> {
-    if !io::stdout().is_terminal() {
+    width_behind(&io::stdout())
+}
+
+/// Width of the terminal behind standard error, characters; `None` if it is not a terminal.
+pub fn error_width() -> Option<usize> {
+    width_behind(&io::stderr())
+}
+
+fn width_behind(stream: &impl IsTerminal) -> Option<usize> {
+    if !stream.is_terminal() {
         return None;
     }
     let (columns, _) = ratatui::crossterm::terminal::size().ok()?;
@@ -107,6 +153,17 @@ mod tests {
     fn a_name_cannot_control_the_terminal() {
         let name = "night\u{1b}[31m\u{0}";
         assert_eq!(shown(format_args!("run 3, {name}\n")), "run 3, night\\u{1b}[31m\\u{0}\n");
+    }
+
+    #[test]
+    fn a_line_is_wrapped_at_spaces_below_its_text_on_a_terminal_only() {
+        let text = "safe     No fault is known\n\n  run 3 waits for a person";
+        assert_eq!(fitted(text, None), text);
+        assert_eq!(fitted(text, Some(26)), text);
+        let wrapped = "safe     No fault is\n         known\n\n  run 3 waits for a\n  person";
+        assert_eq!(fitted(text, Some(20)), wrapped);
+        assert_eq!(fitted("a long name  of a line", Some(16)), "a long name of a\nline");
+        assert_eq!(fitted("µµµµµµµµ µ", Some(4)), "µµµµµµµµ\nµ");
     }
 
     #[test]

@@ -9,7 +9,7 @@ use serde_json::json;
 use tokio::time::Instant;
 
 use crate::campaign::shown::status::{Eta, RunStatus};
-use crate::cli::output::{counted, duration, grouped, note, say_json, shown, terminal_width};
+use crate::cli::output::{counted, duration, error_width, grouped, note, say_json, shown};
 use crate::cli::progress::{PROGRESS_LINES, bar};
 use crate::cli::view::StatusView;
 use crate::state::StoredState;
@@ -42,8 +42,7 @@ impl Screen {
         let wait = wait_words(run, &self.url);
         let done = grouped(run.trials_stored + run.trials_skipped);
         let counts = format!("{done}/{}", grouped(run.trials_planned));
-        let room =
-            terminal_width().map(|width| width.saturating_sub(BAR_COLUMNS + counts.len() + 2));
+        let room = error_width().map(|width| width.saturating_sub(BAR_COLUMNS + counts.len() + 2));
         let words = |band| shown(progress_words(run, status, wait.as_deref(), band));
         let words = fitting(room, words(true), || words(false));
         if !self.terminal && self.is_due(wait.as_deref()) {
