@@ -399,7 +399,10 @@ fn run_words(run: &RunStatus) -> Vec<String> {
     ));
     if let Some(eta) = run.eta {
         let (low, high) = (duration(eta.low_s), duration(eta.high_s));
-        lines.push(format!("done in  {} ({low} .. {high})", duration(eta.remaining_s)));
+        lines.push(match eta.remaining_s {
+            ..1.0 => "done in  less than 1 s".into(),
+            remaining_s => format!("done in  {} ({low} .. {high})", duration(remaining_s)),
+        });
     }
     lines
 }

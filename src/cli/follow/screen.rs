@@ -130,7 +130,11 @@ fn progress_words(run: &RunStatus, status: &StatusView, wait: Option<&str>, band
     parts.join(" | ")
 }
 
+/// When the run ends. At its very end a time would remain zero while the last work takes longer.
 fn eta_words(eta: &Eta, band: bool) -> String {
+    if eta.remaining_s < 1.0 {
+        return "nearly done".into();
+    }
     let (low, high) = (duration(eta.low_s), duration(eta.high_s));
     let band = if band { format!(" ({low} .. {high})") } else { String::new() };
     format!("done in {}{band}", duration(eta.remaining_s))
@@ -186,5 +190,6 @@ mod tests {
         assert_eq!(words(None), shown);
         assert_eq!(words(Some(shown.len())), shown);
         assert_eq!(words(Some(shown.len() - 1)), "done in 2 min 10 s");
+        assert_eq!(eta_words(&Eta { remaining_s: 0.0, low_s: 0.0, ..eta }, true), "nearly done");
     }
 }
