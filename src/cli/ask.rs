@@ -15,7 +15,7 @@ use super::error::{CliError, CliResult};
 use super::find::find_run;
 use super::key::key;
 use super::output::{Output, counted, duration, grouped, note, say, say_json, say_whole};
-use super::view::StatusView;
+use super::view::{NeedView, StatusView};
 use super::{At, embed, workers};
 use crate::campaign::bench::stopping::StoppingDistance;
 use crate::campaign::shown::safe_end::{SafeEnd, Tips};
@@ -321,7 +321,8 @@ fn status_words(status: &StatusView, twins: &Value, workers: Option<String>) -> 
     if let Some(lock) = &status.lock {
         lines.push(format!("lock     {}: {}", lock.holder, lock.note));
     }
-    lines.extend(status.run.as_ref().map_or(vec!["run      none".into()], run_words));
+    let run = status.run.as_ref().map(|run| run_words(run, &status.needs));
+    lines.extend(run.unwrap_or_else(|| vec!["run      none".into()]));
     lines.extend(status.asked_of_run().map(|actions| format!("may      {actions}")));
     let waits = status.waiting_for.as_ref().map_or(String::new(), |words| format!("; {words}"));
     lines.extend(status.care.lines(Timestamp::now()));
@@ -354,13 +355,16 @@ fn stopping_words(d: &StoppingDistance) -> String {
         (Some(ms), None) => format!("measured {ms:.1} ms at most"),
         _ => "none measured yet".into(),
     };
+    let stops = match d.stops {
+        0 => String::new(),
+        stops => format!(" in {}", counted(stops, "stop", "stops")),
+    };
     format!(
-        "stopping {:.1} ms, {:.2} mm at {:.2} mm/s; {measured} in {}\n\
+        "stopping {:.1} ms, {:.2} mm at {:.2} mm/s; {measured}{stops}\n\
          margin   +{:.1} N of {:.1} N on a tip, +{:.1} N of {:.1} N on {}; +{:.0} N per tip on the stiffest skin",
         d.sample_to_stop_ms,
         d.travel_mm,
         d.speed_mm_s,
-        counted(d.stops, "stop", "stops"),
         d.added_n,
         d.margin_n,
         d.added_sum_n,
@@ -382,12 +386,14 @@ fn twin_words(twins: &Value) -> Option<String> {
     Some(format!("twins    {made} of {trials}{fit}{failed}"))
 }
 
-fn run_words(run: &RunStatus) -> Vec<String> {
+/// The active run, as text. What it waits for is a line only if no need states it.
+fn run_words(run: &RunStatus, needs: &[NeedView]) -> Vec<String> {
     let requested =
         run.requested_state.as_ref().map_or_else(String::new, |r| format!(", requested {r}"));
     let (id, name, state) = (run.scan_id, &run.experiment, &run.state);
     let mut lines = vec![format!("run      {id}, {name}: {state}{requested}")];
-    if let Some(words) = &run.waiting_for {
+    let is_needed = |words: &str| needs.iter().any(|need| need.words.contains(words));
+    if let Some(words) = run.waiting_for.as_ref().filter(|words| !is_needed(words)) {
         lines.push(format!("waits    {words}"));
     }
     let retries = counted(run.retries, "retry", "retries");
@@ -405,4 +411,29 @@ fn run_words(run: &RunStatus) -> Vec<String> {
         });
     }
     lines
+}
+
+#[cfg(test)]
+mod tests {
+    use serde::Deserialize;
+
+    use super::*;
+
+    #[test]
+    fn what_a_run_waits_for_is_stated_once() {
+        let run = json!({
+            "uid": "01a208ed-3612-760c-9dff-1d5fb515cdf8", "scan_id": 3, "experiment": "night",
+            "is_manual": false, "state": "paused", "phase": "wait", "trials_planned": 33_000,
+            "trials_stored": 16_403, "trials_skipped": 0, "retries": 1, "needed_bytes": 0,
+            "waiting_for": "arm 2: 81.0 N over 80.0 N",
+        });
+        let run = RunStatus::deserialize(&run).unwrap();
+        let need = json!({ "importance": "act", "command": null, "since": null,
+            "words": "Tripped (force): arm 2: 81.0 N over 80.0 N. Clear the cause, reset, then home." });
+        let need = NeedView::deserialize(&need).unwrap();
+        let trials = "trials   16,403 of 33,000, 0 skipped, 1 retry";
+        assert_eq!(run_words(&run, &[need]), ["run      3, night: paused", trials]);
+        let waits = "waits    arm 2: 81.0 N over 80.0 N";
+        assert_eq!(run_words(&run, &[]), ["run      3, night: paused", waits, trials]);
+    }
 }
