@@ -14,6 +14,7 @@ use super::client::Client;
 use super::error::{CliError, CliResult};
 use super::find::find_run;
 use super::key::key;
+use super::next::Next;
 use super::output::{Output, counted, duration, grouped, note, say, say_json, say_whole};
 use super::view::{NeedView, StatusView};
 use super::{At, embed, workers};
@@ -21,6 +22,7 @@ use crate::campaign::bench::stopping::StoppingDistance;
 use crate::campaign::shown::safe_end::{SafeEnd, Tips};
 use crate::campaign::shown::status::RunStatus;
 use crate::ids::RunUid;
+use crate::state::PausedWhy;
 use crate::store::RunRow;
 
 /// Longest wait for the axes' acknowledgement of an emergency stop.
@@ -108,14 +110,11 @@ pub async fn metrics(at: &At) -> CliResult<()> {
 /// `CliError::Idle` without such a run; other variants if the service cannot be reached or refuses.
 pub async fn act(args: &ActArgs, action: &str, more: Value) -> CliResult<()> {
     let client = embed::server(&args.at).await?;
-    let (uid, scan_id) = match client.status().await?.run {
-        Some(run) => (run.uid, run.scan_id),
-        None => {
-            let run = client.find_run(RunRow::is_driven).await?.ok_or(CliError::Idle)?;
-            (run.uid, run.scan_id)
-        }
+    let of = match client.status().await?.run {
+        Some(run) => Of::from(&run),
+        None => Of::from(&client.find_run(RunRow::is_driven).await?.ok_or(CliError::Idle)?),
     };
-    request(&client, uid, scan_id, args, action, more).await
+    request(&client, of, args, action, more).await
 }
 
 /// Sends an action after which the active run continues; `more` are its other fields, of the run as it is read. The
@@ -132,7 +131,43 @@ pub async fn act_in_time(
     let status = client.status().await?;
     let run = status.run.ok_or(CliError::Idle)?;
     let more = more(&run);
-    request(&client.acting_on(status.at), run.uid, run.scan_id, args, action, more).await
+    request(&client.acting_on(status.at), Of::from(&run), args, action, more).await
+}
+
+/// The run of an action, as it was before.
+#[derive(Debug, Clone, Copy)]
+pub struct Of {
+    /// Its id.
+    pub uid: RunUid,
+    /// Its number.
+    pub scan_id: i64,
+    /// Why it is paused, if it is.
+    pub paused_why: Option<PausedWhy>,
+}
+
+impl From<&RunRow> for Of {
+    fn from(run: &RunRow) -> Self {
+        Self { uid: run.uid, scan_id: run.scan_id, paused_why: run.paused_why }
+    }
+}
+
+impl From<&RunStatus> for Of {
+    fn from(run: &RunStatus) -> Self {
+        Self { uid: run.uid, scan_id: run.scan_id, paused_why: run.paused_why }
+    }
+}
+
+impl Of {
+    /// That an action was accepted, with what it changes where this is not its name.
+    pub fn accepted(&self, action: &str) -> String {
+        let change = match (action, self.paused_why) {
+            ("pause", Some(PausedWhy::Trip)) => {
+                "; a trip had paused it already: it does not resume automatically any more"
+            }
+            _ => "",
+        };
+        format!("run {}: {action} accepted{change}", self.scan_id)
+    }
 }
 
 /// Sends an action on a run, and prints that it was accepted.
@@ -141,8 +176,7 @@ pub async fn act_in_time(
 /// As [`act`].
 pub async fn request(
     client: &Client,
-    uid: RunUid,
-    scan_id: i64,
+    of: Of,
     args: &ActArgs,
     action: &str,
     mut more: Value,
@@ -150,9 +184,22 @@ pub async fn request(
     if let Some(why) = &args.why {
         more["why"] = why.clone().into();
     }
-    client.act(uid, action, more).await?;
-    let taken_up = json!({ "run": uid, "action": action, "taken_up": true });
-    args.at.output().say(&taken_up, format_args!("run {scan_id}: {action} accepted"));
+    client.act(of.uid, action, more).await?;
+    let taken_up = json!({ "run": of.uid, "action": action, "taken_up": true });
+    args.at.output().say(&taken_up, of.accepted(action));
+    let (next, run) = (Next::of(&args.at), of.scan_id);
+    let next = match (action, of.paused_why) {
+        ("pause", Some(PausedWhy::Trip)) => {
+            next.suggest("palpate status", "what it needs before it can resume")
+        }
+        ("pause", _) => next.suggest("palpate resume", "continues it"),
+        ("resume", _) => next.suggest(format_args!("palpate attach {run}"), "follows it"),
+        ("stop" | "abort", _) => {
+            next.suggest(format_args!("palpate resume {run}"), "resumes it where it ended")
+        }
+        _ => next,
+    };
+    next.say();
     Ok(())
 }
 
@@ -178,7 +225,7 @@ pub async fn abort(args: &AbortArgs) -> CliResult<()> {
     };
     let client = embed::server(&args.act.at).await?;
     let run = find_run(&client, run).await?;
-    request(&client, run.uid, run.scan_id, &args.act, "abort", json!({})).await
+    request(&client, Of::from(&run), &args.act, "abort", json!({})).await
 }
 
 /// Aborts a homing or a jog.
@@ -418,6 +465,15 @@ mod tests {
     use serde::Deserialize;
 
     use super::*;
+
+    #[test]
+    fn a_pause_after_a_trip_states_what_it_changes() {
+        let of = |paused_why| Of { uid: RunUid::new(), scan_id: 3, paused_why };
+        let words = "run 3: pause accepted; a trip had paused it already: it does not resume automatically any more";
+        assert_eq!(of(Some(PausedWhy::Trip)).accepted("pause"), words);
+        assert_eq!(of(Some(PausedWhy::Trip)).accepted("stop"), "run 3: stop accepted");
+        assert_eq!(of(None).accepted("pause"), "run 3: pause accepted");
+    }
 
     #[test]
     fn what_a_run_waits_for_is_stated_once() {
