@@ -193,7 +193,7 @@ impl fmt::Display for Preflight {
         let fixed = bytes(self.disk_fixed_bytes as f64);
         line(f, "disk", format!("{}, {fixed} of it cache and log", bytes(self.disk_bytes as f64)))?;
         if let Some(words) = &self.if_silent {
-            line(f, "if the service stops", words.clone())?;
+            line(f, "if service stops", words.clone())?;
         }
         if self.problems.is_empty() {
             return line(f, "problems", "none".into());

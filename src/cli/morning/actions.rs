@@ -37,16 +37,14 @@ pub async fn actions(client: &Client, args: &ActionsArgs) -> CliResult<()> {
         numbers.insert(uid, row.map(|row| row.scan_id));
     }
     let number = |action: &ActionRow| *numbers.get(&action.run?.to_string())?;
-    let mut table =
-        Table::new("time | action | run> | who | | why, values", "there are no actions");
+    let mut table = Table::new("time | action | run> | who | why, values", "there are no actions");
     for action in &found {
         let words = action.why.iter().chain(&action.detail).cloned().collect::<Vec<_>>();
         table.push([
             second(action.at),
-            action.action.clone(),
+            format!("{}{}", action.action, if action.accepted { "" } else { " (refused)" }),
             or_dash(number(action)),
             action.who.clone(),
-            if action.accepted { "" } else { "refused" }.into(),
             words.join("; "),
         ]);
     }
