@@ -245,7 +245,7 @@ fn words(serves: &ServesOut) -> String {
 /// Models with their last scores.
 fn table(models: &[ModelOut]) -> Table {
     let mut table = Table::new(
-        "model | name | task | label |  | last score",
+        "model | name | task | label | state | last score",
         "there are no models: palpate train RECIPE",
     );
     models.iter().for_each(|model| table.push(cells(model)));
