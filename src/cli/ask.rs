@@ -111,8 +111,8 @@ pub async fn metrics(at: &At) -> CliResult<()> {
 pub async fn act(args: &ActArgs, action: &str, more: Value) -> CliResult<()> {
     let client = embed::server(&args.at).await?;
     let of = match client.status().await?.run {
-        Some(run) => Of::from(&run),
-        None => Of::from(&client.find_run(RunRow::is_driven).await?.ok_or(CliError::Idle)?),
+        Some(run) => ActedRun::from(&run),
+        None => ActedRun::from(&client.find_run(RunRow::is_driven).await?.ok_or(CliError::Idle)?),
     };
     request(&client, of, args, action, more).await
 }
@@ -131,12 +131,12 @@ pub async fn act_in_time(
     let status = client.status().await?;
     let run = status.run.ok_or(CliError::Idle)?;
     let more = more(&run);
-    request(&client.acting_on(status.at), Of::from(&run), args, action, more).await
+    request(&client.acting_on(status.at), ActedRun::from(&run), args, action, more).await
 }
 
 /// The run of an action, as it was before.
 #[derive(Debug, Clone, Copy)]
-pub struct Of {
+pub struct ActedRun {
     /// Its id.
     pub uid: RunUid,
     /// Its number.
@@ -145,19 +145,19 @@ pub struct Of {
     pub paused_why: Option<PausedWhy>,
 }
 
-impl From<&RunRow> for Of {
+impl From<&RunRow> for ActedRun {
     fn from(run: &RunRow) -> Self {
         Self { uid: run.uid, scan_id: run.scan_id, paused_why: run.paused_why }
     }
 }
 
-impl From<&RunStatus> for Of {
+impl From<&RunStatus> for ActedRun {
     fn from(run: &RunStatus) -> Self {
         Self { uid: run.uid, scan_id: run.scan_id, paused_why: run.paused_why }
     }
 }
 
-impl Of {
+impl ActedRun {
     /// That an action was accepted, with what it changes where this is not its name.
     pub fn accepted(&self, action: &str) -> String {
         let change = match (action, self.paused_why) {
@@ -176,7 +176,7 @@ impl Of {
 /// As [`act`].
 pub async fn request(
     client: &Client,
-    of: Of,
+    of: ActedRun,
     args: &ActArgs,
     action: &str,
     mut more: Value,
@@ -225,7 +225,7 @@ pub async fn abort(args: &AbortArgs) -> CliResult<()> {
     };
     let client = embed::server(&args.act.at).await?;
     let run = find_run(&client, run).await?;
-    request(&client, Of::from(&run), &args.act, "abort", json!({})).await
+    request(&client, ActedRun::from(&run), &args.act, "abort", json!({})).await
 }
 
 /// Aborts a homing or a jog.
@@ -468,7 +468,7 @@ mod tests {
 
     #[test]
     fn a_pause_after_a_trip_states_what_it_changes() {
-        let of = |paused_why| Of { uid: RunUid::new(), scan_id: 3, paused_why };
+        let of = |paused_why| ActedRun { uid: RunUid::new(), scan_id: 3, paused_why };
         let words = "run 3: pause accepted; a trip had paused it already: it does not resume automatically any more";
         assert_eq!(of(Some(PausedWhy::Trip)).accepted("pause"), words);
         assert_eq!(of(Some(PausedWhy::Trip)).accepted("stop"), "run 3: stop accepted");

@@ -8,7 +8,7 @@ use clap::Args;
 use jiff::Timestamp;
 use serde_json::json;
 
-use super::ask::{ActArgs, Of, request};
+use super::ask::{ActArgs, ActedRun, request};
 use super::client::Client;
 use super::embed;
 use super::error::{CliError, CliResult};
@@ -73,7 +73,7 @@ pub async fn resume(args: &ResumeArgs) -> CliResult<()> {
             false => status,
         };
         let client = client.acting_on(status.at);
-        return request(&client, Of::from(&run), &args.act, "resume", json!({})).await;
+        return request(&client, ActedRun::from(&run), &args.act, "resume", json!({})).await;
     }
     let Some(run) = named else { return Err(CliError::NothingToResume) };
     let stored = client.summary(run.uid).await?.trials_stored;

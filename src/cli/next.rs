@@ -56,8 +56,8 @@ impl Next {
         }
     }
 
-    /// The commands, on a terminal of so many `columns` with what they do below them where there is no room next to
-    /// them. A command is not wrapped: it is copied.
+    /// The commands, each with what it does next to it, or below it if a terminal has fewer `columns` than that needs.
+    /// A command is not wrapped: it is copied.
     fn text(&self, columns: Option<usize>) -> String {
         let length = |text: &str| text.chars().count();
         let width = self.lines.iter().map(|[command, _]| length(command)).max().unwrap_or(0);

@@ -183,7 +183,7 @@ fn answer(asked: Asked, night: &mut Night, client: &Client, at: &At, news: &Send
         night.outcome = Some("no run is active".into());
         return;
     };
-    let of = ask::Of::from(run);
+    let of = ask::ActedRun::from(run);
     // The status that the person sees.
     let shown_at = night.status.as_ref().and_then(|status| status.at);
     let (client, action, mut more) = match asked {
