@@ -9,8 +9,7 @@ use clap::error::{ContextKind, ContextValue};
 use serde_json::{Value, json};
 
 use super::error::CliError;
-use super::help::wrapped;
-use super::output::{Output, error_width, no_color, note_drawn, shown};
+use super::output::{Output, error_width, no_color, note_drawn, shown, wrapped};
 use crate::locate::locate;
 use crate::plain::{escaped, in_plain_words};
 use crate::problem::{Place, Problem};

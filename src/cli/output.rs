@@ -1,6 +1,6 @@
 //! Output lines for people and for scripts, and numbers with units. All text for people passes through
 //! here: names and notes that other people entered must not control the terminal.
-//! Uses: `plain`, the wrapping of `help`. Never: HTTP, decisions. A closed standard output is not an error.
+//! Uses: `plain`. Never: HTTP, decisions. A closed standard output is not an error.
 
 use std::borrow::Cow;
 use std::fmt::Display;
@@ -8,7 +8,6 @@ use std::io::{self, IsTerminal, Write};
 
 use serde::Serialize;
 
-use super::help::wrapped;
 use crate::plain::escaped_lines;
 pub use crate::plain::{bytes, counted, duration, grouped};
 
@@ -48,7 +47,7 @@ pub fn note(text: impl Display) {
 
 /// Wraps the lines that are longer than a terminal is wide, at spaces: further lines begin below the text that follows
 /// the name of the line. Elsewhere lines stay whole.
-fn fitted(text: &str, width: Option<usize>) -> Cow<'_, str> {
+pub fn fitted(text: &str, width: Option<usize>) -> Cow<'_, str> {
     let is_long = |line: &str, width: usize| line.chars().count() > width;
     let Some(width) = width.filter(|width| text.lines().any(|line| is_long(line, *width))) else {
         return text.into();
@@ -91,6 +90,48 @@ pub fn ask(question: impl Display) {
 /// characters reach the terminal.
 pub fn say_drawn(picture: &str) {
     let _ = writeln!(io::stdout().lock(), "{picture}");
+}
+
+/// Wraps every line of a text at spaces. A default or variable in brackets stays in one line.
+pub fn wrapped(text: &str, width: usize) -> String {
+    let lines = text.lines().map(|line| {
+        let (mut wrapped, mut column) = (String::new(), 0);
+        for word in words(line) {
+            let length = word.chars().count();
+            if column > 0 && column + 1 + length > width {
+                wrapped.push('\n');
+                column = 0;
+            } else if column > 0 {
+                wrapped.push(' ');
+                column += 1;
+            }
+            wrapped += &word;
+            column += length;
+        }
+        wrapped
+    });
+    lines.collect::<Vec<_>>().join("\n")
+}
+
+/// Words of a line; `[env: X]` is one.
+fn words(line: &str) -> Vec<String> {
+    let mut words: Vec<String> = Vec::new();
+    let mut is_open = false;
+    for word in line.split(' ').filter(|word| !word.is_empty()) {
+        match words.last_mut().filter(|_| is_open) {
+            Some(last) => *last += &format!(" {word}"),
+            None => words.push(word.into()),
+        }
+        is_open = match (
+            word.starts_with("[env:") || word.starts_with("[default:"),
+            word.contains(']'),
+        ) {
+            (_, true) => false,
+            (true, false) => true,
+            (false, false) => is_open,
+        };
+    }
+    words
 }
 
 /// Width of the terminal behind standard output, characters; `None` if it is not a terminal.
@@ -164,6 +205,12 @@ mod tests {
         assert_eq!(fitted(text, Some(20)), wrapped);
         assert_eq!(fitted("a long name  of a line", Some(16)), "a long name of a\nline");
         assert_eq!(fitted("µµµµµµµµ µ", Some(4)), "µµµµµµµµ\nµ");
+    }
+
+    #[test]
+    fn a_text_is_wrapped_at_spaces_and_not_within_brackets() {
+        assert_eq!(wrapped("one two three\n\nfour", 7), "one two\nthree\n\nfour");
+        assert_eq!(wrapped("URL [env: A] [default: b]", 9), "URL\n[env: A]\n[default: b]");
     }
 
     #[test]

@@ -1,11 +1,10 @@
 //! A table as text: a line of heads, columns as wide as their longest cell, and a sentence instead of an
 //! empty table.
-//! Uses: `output` (the width of the terminal), the wrapping of `help`. Never: HTTP, a number that is not in a cell.
+//! Uses: `output` (the width of the terminal). Never: HTTP, a number that is not in a cell.
 
 use std::fmt;
 
-use super::help::wrapped;
-use super::output::terminal_width;
+use super::output::{terminal_width, wrapped};
 
 /// Gap between two columns.
 const GAP: &str = "  ";
