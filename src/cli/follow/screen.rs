@@ -16,6 +16,8 @@ use crate::state::StoredState;
 
 /// Width of the bar, characters.
 const BAR_COLUMNS: usize = 24;
+/// Text between two parts of the progress.
+const BETWEEN: &str = " | ";
 
 /// Output: standard error for people, standard output for scripts.
 pub(super) struct Screen {
@@ -43,8 +45,8 @@ impl Screen {
         let done = grouped(run.trials_stored + run.trials_skipped);
         let counts = format!("{done}/{}", grouped(run.trials_planned));
         let room = error_width().map(|width| width.saturating_sub(BAR_COLUMNS + counts.len() + 2));
-        let words = |band| shown(progress_words(run, status, wait.as_deref(), band));
-        let words = fitting(room, words(true), || words(false));
+        let parts = |band| progress_parts(run, status, wait.as_deref(), band);
+        let words = shown(fitting(room, parts(true).join(BETWEEN), || parts(false)));
         if !self.terminal && self.is_due(wait.as_deref()) {
             self.told = Some((Instant::now(), wait));
             note(format_args!("{counts} {words}"));
@@ -99,16 +101,28 @@ fn wait_words(run: &RunStatus, url: &str) -> Option<String> {
     }
 }
 
-/// The words, or the short ones if a terminal has no room for them: a cut estimate could be read as another one.
-fn fitting(room: Option<usize>, words: String, short: impl FnOnce() -> String) -> String {
-    match room.is_some_and(|room| words.chars().count() > room) {
-        true => short(),
-        false => words,
+/// The words, or those of the short `parts` that a terminal has room for, the first ones: a cut number could be read as
+/// another one.
+fn fitting(room: Option<usize>, words: String, parts: impl FnOnce() -> Vec<String>) -> String {
+    let has_room = |words: &str| room.is_none_or(|room| words.chars().count() <= room);
+    if has_room(&words) {
+        return words;
     }
+    let mut parts = parts();
+    while parts.len() > 1 && !has_room(&parts.join(BETWEEN)) {
+        parts.pop();
+    }
+    parts.join(BETWEEN)
 }
 
-/// Progress as text; `wait`: the words for what the run waits for; `band`: whether the estimate has its band.
-fn progress_words(run: &RunStatus, status: &StatusView, wait: Option<&str>, band: bool) -> String {
+/// Progress as text, the most important part first; `wait`: the words for what the run waits for; `band`: whether the
+/// estimate has its band.
+fn progress_parts(
+    run: &RunStatus,
+    status: &StatusView,
+    wait: Option<&str>,
+    band: bool,
+) -> Vec<String> {
     let mut parts = vec![match (wait, run.state) {
         (Some(wait), _) => wait.to_owned(),
         (None, StoredState::Running) => run.phase.as_str().replace('_', "-"),
@@ -127,7 +141,7 @@ fn progress_words(run: &RunStatus, status: &StatusView, wait: Option<&str>, band
     if let Some(force_n) = status.rig.max_force_n() {
         parts.push(force_words(force_n));
     }
-    parts.join(" | ")
+    parts
 }
 
 /// When the run ends. At its very end a time would remain zero while the last work takes longer.
@@ -186,10 +200,13 @@ mod tests {
         let eta = Eta { remaining_s: 130.0, low_s: 110.0, high_s: 160.0 };
         let shown = "done in 2 min 10 s (1 min 50 s .. 2 min 40 s)";
         assert_eq!(eta_words(&eta, true), shown);
-        let words = |room| fitting(room, eta_words(&eta, true), || eta_words(&eta, false));
+        let short = || vec![eta_words(&eta, false), force_words(21.14)];
+        let words = |room| fitting(room, eta_words(&eta, true), short);
         assert_eq!(words(None), shown);
         assert_eq!(words(Some(shown.len())), shown);
-        assert_eq!(words(Some(shown.len() - 1)), "done in 2 min 10 s");
+        assert_eq!(words(Some(shown.len() - 1)), "done in 2 min 10 s | max 21.1 N");
+        assert_eq!(words(Some(30)), "done in 2 min 10 s", "no part of the force");
+        assert_eq!(words(Some(5)), "done in 2 min 10 s");
         assert_eq!(eta_words(&Eta { remaining_s: 0.0, low_s: 0.0, ..eta }, true), "nearly done");
     }
 }
