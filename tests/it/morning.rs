@@ -177,6 +177,10 @@ async fn events_are_selected_by_kind_and_followed_as_they_happen() {
     assert_eq!(some.as_array().unwrap().len(), wanted);
     let list = said(&url, &["events", "1", "--kind", "ended"]);
     assert!(list.starts_with("time ") && list.contains("success: "), "{list}");
+    let several = said(&url, &["events", "--kind", "ended"]);
+    let heads: Vec<&str> = several.lines().next().unwrap().split_whitespace().collect();
+    assert_eq!(heads, ["time", "kind", "run", "event"]);
+    assert!(several.lines().any(|line| line.contains("  ended    1  run ended")), "{several}");
     assert_eq!(said(&url, &["events", "--since", "0s", "--kind", "trip"]), "no event fits\n");
     let (code, why) = refused(&url, &["events", "--kind", "ended,tripp"]);
     assert!(code == 2 && why.contains("--kind = tripp: must be one of trip, "), "{code}: {why}");
