@@ -393,7 +393,7 @@ fn safe_end_words(end: &SafeEnd) -> String {
         true => "every axis stopped".into(),
         false => format!("NOT STOPPED: {}", missing.join(", ")),
     };
-    format!("safe end {axes}, {tips}, {:.0} ms", end.took_ms)
+    format!("safe end: {axes}, {tips}, {:.0} ms", end.took_ms)
 }
 
 fn stopping_words(d: &StoppingDistance) -> String {
