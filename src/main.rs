@@ -107,14 +107,15 @@ fn write_manual(folder: &Path) -> Result<(), cli::CliError> {
         std::fs::create_dir_all(folder)?;
         // Before it is completed: a page of each `help` of a command would be a copy.
         let root = CommandLine::command().disable_help_subcommand(true);
-        clap_mangen::generate_to(cli::help::complete(root), folder)
+        clap_mangen::generate_to(cli::help::complete(root, cli::help::WIDTH), folder)
     };
     write().map_err(cli::CliError::file(folder))
 }
 
 /// The command line, and the form in which it prints errors; otherwise the exit code.
 fn parsed() -> Result<(CommandLine, cli::Output), ExitCode> {
-    let matches = cli::help::complete(CommandLine::command()).try_get_matches();
+    let line = cli::help::complete(CommandLine::command(), cli::help::width());
+    let matches = line.try_get_matches();
     let read = matches.and_then(|matches| {
         let line = CommandLine::from_arg_matches(&matches)?;
         let json = wants_json(&matches);
@@ -192,7 +193,7 @@ mod tests {
     /// read.
     fn command_line() -> clap::Command {
         static COMPLETE: LazyLock<clap::Command> =
-            LazyLock::new(|| cli::help::complete(CommandLine::command()));
+            LazyLock::new(|| cli::help::complete(CommandLine::command(), cli::help::WIDTH));
         COMPLETE.clone()
     }
 
@@ -251,6 +252,14 @@ mod tests {
             }
         });
         assert!(count > 60, "{count} examples");
+    }
+
+    #[test]
+    fn a_help_has_no_line_that_a_terminal_of_80_columns_breaks() {
+        let help = cli::help::complete(CommandLine::command(), 80).render_long_help().to_string();
+        let long: Vec<&str> = help.lines().filter(|line| line.chars().count() > 80).collect();
+        assert_eq!(long, [""; 0]);
+        assert!(help.contains("PALPATE_DATA") && help.contains("Exit codes:"), "{help}");
     }
 
     /// The files of a folder and of the folders in it, with their texts.

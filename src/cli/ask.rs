@@ -14,13 +14,15 @@ use super::client::Client;
 use super::error::{CliError, CliResult};
 use super::find::find_run;
 use super::key::key;
-use super::output::{counted, duration, note, say, say_json};
-use super::view::StatusView;
+use super::next::Next;
+use super::output::{Output, counted, duration, grouped, note, say, say_json, say_whole};
+use super::view::{NeedView, StatusView};
 use super::{At, embed, workers};
 use crate::campaign::bench::stopping::StoppingDistance;
 use crate::campaign::shown::safe_end::{SafeEnd, Tips};
 use crate::campaign::shown::status::RunStatus;
 use crate::ids::RunUid;
+use crate::state::PausedWhy;
 use crate::store::RunRow;
 
 /// Longest wait for the axes' acknowledgement of an emergency stop.
@@ -94,7 +96,10 @@ pub async fn ready(at: &At) -> CliResult<()> {
 /// `CliError` if the service cannot be reached.
 pub async fn metrics(at: &At) -> CliResult<()> {
     let text = embed::server(at).await?.text("/metrics").await?;
-    at.output().say(&json!({ "metrics": text }), text.trim_end());
+    match at.output() {
+        Output::Json => say_json(&json!({ "metrics": text })),
+        Output::Text => say_whole(text.trim_end()),
+    }
     Ok(())
 }
 
@@ -105,14 +110,11 @@ pub async fn metrics(at: &At) -> CliResult<()> {
 /// `CliError::Idle` without such a run; other variants if the service cannot be reached or refuses.
 pub async fn act(args: &ActArgs, action: &str, more: Value) -> CliResult<()> {
     let client = embed::server(&args.at).await?;
-    let (uid, scan_id) = match client.status().await?.run {
-        Some(run) => (run.uid, run.scan_id),
-        None => {
-            let run = client.find_run(RunRow::is_driven).await?.ok_or(CliError::Idle)?;
-            (run.uid, run.scan_id)
-        }
+    let of = match client.status().await?.run {
+        Some(run) => ActedRun::from(&run),
+        None => ActedRun::from(&client.find_run(RunRow::is_driven).await?.ok_or(CliError::Idle)?),
     };
-    request(&client, uid, scan_id, args, action, more).await
+    request(&client, of, args, action, more).await
 }
 
 /// Sends an action after which the active run continues; `more` are its other fields, of the run as it is read. The
@@ -129,7 +131,43 @@ pub async fn act_in_time(
     let status = client.status().await?;
     let run = status.run.ok_or(CliError::Idle)?;
     let more = more(&run);
-    request(&client.acting_on(status.at), run.uid, run.scan_id, args, action, more).await
+    request(&client.acting_on(status.at), ActedRun::from(&run), args, action, more).await
+}
+
+/// The run of an action, as it was before.
+#[derive(Debug, Clone, Copy)]
+pub struct ActedRun {
+    /// Its id.
+    pub uid: RunUid,
+    /// Its number.
+    pub scan_id: i64,
+    /// Why it is paused, if it is.
+    pub paused_why: Option<PausedWhy>,
+}
+
+impl From<&RunRow> for ActedRun {
+    fn from(run: &RunRow) -> Self {
+        Self { uid: run.uid, scan_id: run.scan_id, paused_why: run.paused_why }
+    }
+}
+
+impl From<&RunStatus> for ActedRun {
+    fn from(run: &RunStatus) -> Self {
+        Self { uid: run.uid, scan_id: run.scan_id, paused_why: run.paused_why }
+    }
+}
+
+impl ActedRun {
+    /// That an action was accepted, with what it changes where this is not its name.
+    pub fn accepted(&self, action: &str) -> String {
+        let change = match (action, self.paused_why) {
+            ("pause", Some(PausedWhy::Trip)) => {
+                "; a trip had paused it already: it does not resume automatically any more"
+            }
+            _ => "",
+        };
+        format!("run {}: {action} accepted{change}", self.scan_id)
+    }
 }
 
 /// Sends an action on a run, and prints that it was accepted.
@@ -138,8 +176,7 @@ pub async fn act_in_time(
 /// As [`act`].
 pub async fn request(
     client: &Client,
-    uid: RunUid,
-    scan_id: i64,
+    of: ActedRun,
     args: &ActArgs,
     action: &str,
     mut more: Value,
@@ -147,9 +184,22 @@ pub async fn request(
     if let Some(why) = &args.why {
         more["why"] = why.clone().into();
     }
-    client.act(uid, action, more).await?;
-    let taken_up = json!({ "run": uid, "action": action, "taken_up": true });
-    args.at.output().say(&taken_up, format_args!("run {scan_id}: {action} accepted"));
+    client.act(of.uid, action, more).await?;
+    let taken_up = json!({ "run": of.uid, "action": action, "taken_up": true });
+    args.at.output().say(&taken_up, of.accepted(action));
+    let (next, run) = (Next::of(&args.at), of.scan_id);
+    let next = match (action, of.paused_why) {
+        ("pause", Some(PausedWhy::Trip)) => {
+            next.suggest("palpate status", "what it needs before it can resume")
+        }
+        ("pause", _) => next.suggest("palpate resume", "continues it"),
+        ("resume", _) => next.suggest(format_args!("palpate attach {run}"), "follows it"),
+        ("stop" | "abort", _) => {
+            next.suggest(format_args!("palpate resume {run}"), "resumes it where it ended")
+        }
+        _ => next,
+    };
+    next.say();
     Ok(())
 }
 
@@ -175,7 +225,7 @@ pub async fn abort(args: &AbortArgs) -> CliResult<()> {
     };
     let client = embed::server(&args.act.at).await?;
     let run = find_run(&client, run).await?;
-    request(&client, run.uid, run.scan_id, &args.act, "abort", json!({})).await
+    request(&client, ActedRun::from(&run), &args.act, "abort", json!({})).await
 }
 
 /// Aborts a homing or a jog.
@@ -318,7 +368,8 @@ fn status_words(status: &StatusView, twins: &Value, workers: Option<String>) -> 
     if let Some(lock) = &status.lock {
         lines.push(format!("lock     {}: {}", lock.holder, lock.note));
     }
-    lines.extend(status.run.as_ref().map_or(vec!["run      none".into()], run_words));
+    let run = status.run.as_ref().map(|run| run_words(run, &status.needs));
+    lines.extend(run.unwrap_or_else(|| vec!["run      none".into()]));
     lines.extend(status.asked_of_run().map(|actions| format!("may      {actions}")));
     let waits = status.waiting_for.as_ref().map_or(String::new(), |words| format!("; {words}"));
     lines.extend(status.care.lines(Timestamp::now()));
@@ -342,7 +393,7 @@ fn safe_end_words(end: &SafeEnd) -> String {
         true => "every axis stopped".into(),
         false => format!("NOT STOPPED: {}", missing.join(", ")),
     };
-    format!("safe end {axes}, {tips}, {:.0} ms", end.took_ms)
+    format!("safe end: {axes}, {tips}, {:.0} ms", end.took_ms)
 }
 
 fn stopping_words(d: &StoppingDistance) -> String {
@@ -351,13 +402,16 @@ fn stopping_words(d: &StoppingDistance) -> String {
         (Some(ms), None) => format!("measured {ms:.1} ms at most"),
         _ => "none measured yet".into(),
     };
+    let stops = match d.stops {
+        0 => String::new(),
+        stops => format!(" in {}", counted(stops, "stop", "stops")),
+    };
     format!(
-        "stopping {:.1} ms, {:.2} mm at {:.2} mm/s; {measured} in {}\n\
+        "stopping {:.1} ms, {:.2} mm at {:.2} mm/s; {measured}{stops}\n\
          margin   +{:.1} N of {:.1} N on a tip, +{:.1} N of {:.1} N on {}; +{:.0} N per tip on the stiffest skin",
         d.sample_to_stop_ms,
         d.travel_mm,
         d.speed_mm_s,
-        counted(d.stops, "stop", "stops"),
         d.added_n,
         d.margin_n,
         d.added_sum_n,
@@ -375,25 +429,67 @@ fn twin_words(twins: &Value) -> Option<String> {
     let fit = fit.map_or_else(String::new, |fvu| format!(", recent median FVU {fvu:.2}"));
     let failed = twins["pool"]["last_error"].as_str();
     let failed = failed.map_or_else(String::new, |why| format!("; {why}"));
-    Some(format!("twins    {} of {trials}{fit}{failed}", trials - pending))
+    let (made, trials) = (grouped(trials - pending), grouped(trials));
+    Some(format!("twins    {made} of {trials}{fit}{failed}"))
 }
 
-fn run_words(run: &RunStatus) -> Vec<String> {
+/// The active run, as text. What it waits for is a line only if no need states it.
+fn run_words(run: &RunStatus, needs: &[NeedView]) -> Vec<String> {
     let requested =
         run.requested_state.as_ref().map_or_else(String::new, |r| format!(", requested {r}"));
     let (id, name, state) = (run.scan_id, &run.experiment, &run.state);
     let mut lines = vec![format!("run      {id}, {name}: {state}{requested}")];
-    if let Some(words) = &run.waiting_for {
+    let is_needed = |words: &str| needs.iter().any(|need| need.words.contains(words));
+    if let Some(words) = run.waiting_for.as_ref().filter(|words| !is_needed(words)) {
         lines.push(format!("waits    {words}"));
     }
     let retries = counted(run.retries, "retry", "retries");
     lines.push(format!(
         "trials   {} of {}, {} skipped, {retries}",
-        run.trials_stored, run.trials_planned, run.trials_skipped
+        grouped(run.trials_stored),
+        grouped(run.trials_planned),
+        grouped(run.trials_skipped)
     ));
     if let Some(eta) = run.eta {
         let (low, high) = (duration(eta.low_s), duration(eta.high_s));
-        lines.push(format!("done in  {} ({low} .. {high})", duration(eta.remaining_s)));
+        lines.push(match eta.remaining_s {
+            ..1.0 => "done in  less than 1 s".into(),
+            remaining_s => format!("done in  {} ({low} .. {high})", duration(remaining_s)),
+        });
     }
     lines
+}
+
+#[cfg(test)]
+mod tests {
+    use serde::Deserialize;
+
+    use super::*;
+
+    #[test]
+    fn a_pause_after_a_trip_states_what_it_changes() {
+        let of = |paused_why| ActedRun { uid: RunUid::new(), scan_id: 3, paused_why };
+        let words = "run 3: pause accepted; a trip had paused it already: it does not resume automatically any more";
+        assert_eq!(of(Some(PausedWhy::Trip)).accepted("pause"), words);
+        assert_eq!(of(Some(PausedWhy::Trip)).accepted("stop"), "run 3: stop accepted");
+        assert_eq!(of(None).accepted("pause"), "run 3: pause accepted");
+    }
+
+    #[test]
+    fn what_a_run_waits_for_is_stated_once() {
+        let run = json!({
+            "uid": "01a208ed-3612-760c-9dff-1d5fb515cdf8", "scan_id": 3, "experiment": "night",
+            "is_manual": false, "state": "paused", "phase": "wait", "trials_planned": 33_000,
+            "trials_stored": 16_403, "trials_skipped": 0, "retries": 1, "needed_bytes": 0,
+            "waiting_for": "arm 2: 81.0 N over 80.0 N",
+        });
+        let run = RunStatus::deserialize(&run).unwrap();
+        let need = json!({ "importance": "act", "command": null, "since": null,
+            "words": "Tripped (force): arm 2: 81.0 N over 80.0 N. Clear the cause, reset, then home." });
+        let need = NeedView::deserialize(&need).unwrap();
+        let trials = "trials   16,403 of 33,000, 0 skipped, 1 retry";
+        assert_eq!(run_words(&run, &[need]), ["run      3, night: paused", trials]);
+        let waits = "waits    arm 2: 81.0 N over 80.0 N";
+        assert_eq!(run_words(&run, &[]), ["run      3, night: paused", waits, trials]);
+    }
 }

@@ -8,13 +8,13 @@ use clap::Args;
 use jiff::Timestamp;
 use serde_json::json;
 
-use super::ask::{ActArgs, request};
+use super::ask::{ActArgs, ActedRun, request};
 use super::client::Client;
 use super::embed;
 use super::error::{CliError, CliResult};
 use super::find::find_run;
 use super::next::Next;
-use super::output;
+use super::output::{self, grouped};
 use super::rig::{end_motion, until_moved, until_rig};
 use super::signals::Signals;
 use super::view::{ArmedView, PreflightView, StatusView, TakenUpView};
@@ -73,7 +73,7 @@ pub async fn resume(args: &ResumeArgs) -> CliResult<()> {
             false => status,
         };
         let client = client.acting_on(status.at);
-        return request(&client, run.uid, run.scan_id, &args.act, "resume", json!({})).await;
+        return request(&client, ActedRun::from(&run), &args.act, "resume", json!({})).await;
     }
     let Some(run) = named else { return Err(CliError::NothingToResume) };
     let stored = client.summary(run.uid).await?.trials_stored;
@@ -85,7 +85,7 @@ pub async fn resume(args: &ResumeArgs) -> CliResult<()> {
     let begun = signals.during(beginning).await;
     end_motion(&client, homes, &begun).await;
     let begun = begun?;
-    let (scan_id, planned) = (run.scan_id, run.trials_planned);
+    let (scan_id, stored, planned) = (run.scan_id, grouped(stored), grouped(run.trials_planned));
     let when = if begun.waiting { "resumes when the active run has ended," } else { "resumes" };
     args.act.at.output().say(
         &json!({ "run": run.uid, "action": "resume", "taken_up": true }),

@@ -16,7 +16,7 @@ use super::files::read_as;
 use super::import::{ImportArgs, import};
 use super::making;
 use super::next::Next;
-use super::output::bytes;
+use super::output::{Output, bytes, grouped, say_json, say_whole};
 use super::table::{Table, or_dash};
 use super::times::local;
 use super::view::rows;
@@ -141,7 +141,7 @@ async fn list(client: &Client, at: &At) -> CliResult<()> {
         table.push([
             text_of(&row["id"]),
             text_of(&row["name"]),
-            row["rows"].to_string(),
+            grouped(row["rows"].as_u64().unwrap_or_default()),
             bytes(row["bytes"].as_f64().unwrap_or_default()),
             or_dash(time("created_at")),
             or_dash(time("last_used_at")),
@@ -207,11 +207,17 @@ async fn card(client: &Client, args: &CardArgs) -> CliResult<()> {
     let path = format!("/api/v1/datasets/{}", args.name);
     if args.datapackage {
         let package: Value = client.get(&format!("{path}/datapackage.json")).await?;
-        args.at.output().say(&package, format_args!("{package:#}"));
+        match args.at.output() {
+            Output::Json => say_json(&package),
+            Output::Text => say_whole(format_args!("{package:#}")),
+        }
         return Ok(());
     }
     let card = client.text(&format!("{path}/card")).await?;
-    args.at.output().say(&json!({ "card": card }), card.trim_end());
+    match args.at.output() {
+        Output::Json => say_json(&json!({ "card": card })),
+        Output::Text => say_whole(card.trim_end()),
+    }
     Ok(())
 }
 
@@ -235,7 +241,9 @@ async fn make(client: &Client, args: &MakeArgs) -> CliResult<()> {
 
 /// A dataset, as text.
 fn described(row: &Value, url: &str) -> String {
-    let (name, id, rows) = (text_of(&row["name"]), text_of(&row["id"]), &row["rows"]);
+    let (name, id) = (text_of(&row["name"]), text_of(&row["id"]));
+    let number = |value: &Value| grouped(value.as_u64().unwrap_or_default());
+    let rows = number(&row["rows"]);
     let length = bytes(row["bytes"].as_f64().unwrap_or_default());
     let mut words = format!("{name} {id}: {rows} rows, {length}");
     if row["is_current"] == false {
@@ -244,7 +252,8 @@ fn described(row: &Value, url: &str) -> String {
     let counts = [("part", "parts"), ("contacts", "contact_counts"), ("excluded", "left_out")];
     for (heading, key) in counts {
         for (what, rows) in row["report"][key].as_object().into_iter().flatten() {
-            words += &format!("\n  {heading:<9} {what:<44} {rows:>8}");
+            let rows = number(rows);
+            words += &format!("\n  {heading:<9} {what:<44} {rows:>9}");
         }
     }
     words += "\n  pandas.read_parquet(..), polars.scan_parquet(..) or DuckDB's read_parquet(..) of";

@@ -9,8 +9,7 @@ use clap::error::{ContextKind, ContextValue};
 use serde_json::{Value, json};
 
 use super::error::CliError;
-use super::help::wrapped;
-use super::output::{Output, no_color, note_drawn, shown};
+use super::output::{Output, error_width, no_color, note_drawn, shown, wrapped};
 use crate::locate::locate;
 use crate::plain::{escaped, in_plain_words};
 use crate::problem::{Place, Problem};
@@ -33,9 +32,7 @@ pub fn report(error: &CliError, output: Output) {
         return note_drawn(body(error));
     }
     let renderer = if is_coloured() { Renderer::styled() } else { Renderer::plain() };
-    let terminal = io::stderr().is_terminal();
-    let width = ratatui::crossterm::terminal::size().ok().filter(|_| terminal);
-    note_drawn(drawn(error, &renderer, width.map(|(columns, _)| columns.into())));
+    note_drawn(drawn(error, &renderer, error_width()));
 }
 
 /// Whether standard error shows colours: it is a terminal, and they are wanted.

@@ -11,7 +11,7 @@ use serde_json::Value;
 use super::client::Client;
 use super::error::{CliError, CliResult};
 use super::next::Next;
-use super::output::{Output, duration, note, say, say_json};
+use super::output::{Output, duration, grouped, note, say, say_json};
 use super::picture::figure_file;
 use super::progress::{LogLines, bar};
 use super::table::Table;
@@ -73,7 +73,10 @@ impl JobScreen {
             self.bar.set_message(words(progress));
             self.lines.say(|| match progress.total {
                 0 => words(progress),
-                total => format!("{} of {total}, {}", progress.done, words(progress)),
+                total => {
+                    let (done, total) = (grouped(progress.done), grouped(total));
+                    format!("{done} of {total}, {}", words(progress))
+                }
             });
         }
         if now.task.state == TaskState::Waiting {
@@ -235,12 +238,13 @@ fn meant<'a>(newest_first: &'a [String], text: &str) -> Vec<&'a str> {
 
 fn table(jobs: &[JobOut]) -> Table {
     let mut table = Table::new(
-        "number> | job | state | requested | what |",
+        "number> | state | requested | what | progress | job",
         "there are no jobs: palpate train RECIPE",
     );
     for (place, job) in jobs.iter().enumerate() {
         let number = (jobs.len() - place).to_string();
-        table.push([number].into_iter().chain(cells(job)));
+        let [id, state, requested, what, more] = cells(job);
+        table.push([number, state, requested, what, more, id]);
     }
     table
 }
@@ -252,7 +256,8 @@ fn cells(job: &JobOut) -> [String; 5] {
     });
     let more = job.task.error.clone().or_else(|| {
         let progress = job.progress.as_ref()?;
-        Some(format!("{} {} of {}", progress.phase, progress.done, progress.total))
+        let (done, total) = (grouped(progress.done), grouped(progress.total));
+        Some(format!("{} {done} of {total}", progress.phase))
     });
     let requested = local(job.task.created_at);
     [job.task.id.to_string(), job.task.state.to_string(), requested, name, more.unwrap_or_default()]

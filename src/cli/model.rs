@@ -12,7 +12,7 @@ use super::client::{Client, TextPart};
 use super::error::{CliError, CliResult};
 use super::files::{DEFAULT_SENSOR, read_input, write};
 use super::next::Next;
-use super::output::{Output, say, say_json};
+use super::output::{Output, counted, say, say_json};
 use super::table::Table;
 use super::{At, embed};
 use crate::api::{ModelOut, PromotionRequest, RollBackRequest, ServesOut, ServingOut};
@@ -245,7 +245,7 @@ fn words(serves: &ServesOut) -> String {
 /// Models with their last scores.
 fn table(models: &[ModelOut]) -> Table {
     let mut table = Table::new(
-        "model | name | task | label |  | last score",
+        "model | name | task | label | state | last score",
         "there are no models: palpate train RECIPE",
     );
     models.iter().for_each(|model| table.push(cells(model)));
@@ -272,21 +272,22 @@ fn line(model: &ModelOut) -> String {
 }
 
 fn score(report: &EvaluationReport) -> String {
+    let rows_of = |rows: u64| counted(rows, "row", "rows");
+    let rows = rows_of(report.rows);
     if let Some(voltages) = &report.voltages {
-        return format!("FVU {:.1} % of {} rows", 100.0 * voltages.all.fvu, report.rows);
+        return format!("FVU {:.1} % of {rows}", 100.0 * voltages.all.fvu);
     }
     if let Some(scores) = &report.quantity {
-        return format!("{} {} of {} rows", scores.quantity, wrong(scores), scores.rows);
+        return format!("{} {} of {}", scores.quantity, wrong(scores), rows_of(scores.rows));
     }
     let Some(contacts) = &report.contacts else { return String::new() };
     let mean = |mean: &Option<crate::evaluate::score::Mean>| mean.as_ref().map(|mean| mean.mean);
     let shown = |value: Option<f64>| value.map_or("-".into(), |value| format!("{value:.1}"));
     format!(
-        "number {} %, location {} mm, force {} % of {} rows",
+        "number {} %, location {} mm, force {} % of {rows}",
         shown(mean(&contacts.all.number_percent)),
         shown(mean(&contacts.all.location_mm)),
         shown(mean(&contacts.all.force_percent)),
-        report.rows
     )
 }
 

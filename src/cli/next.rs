@@ -5,7 +5,7 @@
 use std::fmt::Display;
 
 use super::At;
-use super::output::note;
+use super::output::{error_width, note_drawn, shown};
 
 /// Commands to type next, each with what it does.
 #[derive(Debug, Clone, Default)]
@@ -52,15 +52,21 @@ impl Next {
     /// Prints the commands; nothing if there is none, or for a script.
     pub fn say(&self) {
         if !self.json && !self.lines.is_empty() {
-            note(self.text());
+            note_drawn(shown(self.text(error_width())));
         }
     }
 
-    fn text(&self) -> String {
-        let width = self.lines.iter().map(|[command, _]| command.chars().count()).max();
-        let width = width.unwrap_or(0);
-        let lines =
-            self.lines.iter().map(|[command, what]| format!("\n  {command:<width$}   {what}"));
+    /// The commands, each with what it does next to it, or below it if a terminal has fewer `columns` than that needs.
+    /// A command is not wrapped: it is copied.
+    fn text(&self, columns: Option<usize>) -> String {
+        let length = |text: &str| text.chars().count();
+        let width = self.lines.iter().map(|[command, _]| length(command)).max().unwrap_or(0);
+        let widest = self.lines.iter().map(|[_, what]| 2 + width + 3 + length(what)).max();
+        let fits = columns.is_none_or(|columns| widest.is_none_or(|widest| widest <= columns));
+        let lines = self.lines.iter().map(|[command, what]| match fits {
+            true => format!("\n  {command:<width$}   {what}"),
+            false => format!("\n  {command}\n      {what}"),
+        });
         format!("\nnext:{}", lines.collect::<String>())
     }
 }
@@ -89,16 +95,18 @@ mod tests {
             .same_command("again", "resumes it")
             .suggest("palpate runs", "lists the runs");
         let runs = "palpate runs --url http://rig:8080 --data 'my data'";
-        assert_eq!(
-            next.text(),
-            format!(
-                "\nnext:\n  {:<1$}   resumes it\n  {runs}   lists the runs",
-                "the same command again",
-                runs.len()
-            )
+        let beside = format!(
+            "\nnext:\n  {:<1$}   resumes it\n  {runs}   lists the runs",
+            "the same command again",
+            runs.len()
         );
+        assert_eq!([None, Some(2 + runs.len() + 17)].map(|width| next.text(width)), [&*beside; 2]);
+        let below = format!(
+            "\nnext:\n  the same command again\n      resumes it\n  {runs}\n      lists the runs"
+        );
+        assert_eq!(next.text(Some(2 + runs.len() + 16)), below);
         assert_eq!(
-            Next::default().suggest("palpate runs", "").text(),
+            Next::default().suggest("palpate runs", "").text(None),
             "\nnext:\n  palpate runs   "
         );
     }

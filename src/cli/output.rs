@@ -1,15 +1,15 @@
 //! Output lines for people and for scripts, and numbers with units. All text for people passes through
 //! here: names and notes that other people entered must not control the terminal.
-//! Uses: `plain`, indicatif. Never: HTTP, decisions. A closed standard output is not an error.
+//! Uses: `plain`. Never: HTTP, decisions. A closed standard output is not an error.
 
+use std::borrow::Cow;
 use std::fmt::Display;
 use std::io::{self, IsTerminal, Write};
 
-use indicatif::HumanCount;
 use serde::Serialize;
 
 use crate::plain::escaped_lines;
-pub use crate::plain::{bytes, counted, duration};
+pub use crate::plain::{bytes, counted, duration, grouped};
 
 /// Form of what a command prints.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -30,14 +30,49 @@ impl Output {
     }
 }
 
-/// Prints one or several lines on standard output.
+/// Prints one or several lines on standard output; on a terminal wrapped to its width.
 pub fn say(text: impl Display) {
+    let _ = writeln!(io::stdout().lock(), "{}", fitted(&shown(text), terminal_width()));
+}
+
+/// Prints a text that is copied or read by programs, such as a file, on standard output: its lines stay whole.
+pub fn say_whole(text: impl Display) {
     let _ = writeln!(io::stdout().lock(), "{}", shown(text));
 }
 
-/// Prints one or several lines on standard error.
+/// Prints one or several lines on standard error; on a terminal wrapped to its width.
 pub fn note(text: impl Display) {
-    let _ = writeln!(io::stderr().lock(), "{}", shown(text));
+    let _ = writeln!(io::stderr().lock(), "{}", fitted(&shown(text), error_width()));
+}
+
+/// Wraps the lines that are longer than a terminal is wide, at spaces: further lines begin below the text that follows
+/// the name of the line. Elsewhere lines stay whole.
+pub fn fitted(text: &str, width: Option<usize>) -> Cow<'_, str> {
+    let is_long = |line: &str, width: usize| line.chars().count() > width;
+    let Some(width) = width.filter(|width| text.lines().any(|line| is_long(line, *width))) else {
+        return text.into();
+    };
+    let lines = text.split('\n').map(|line| {
+        let (name, rest) = line.split_at(begin_of_text(line, width / 2));
+        let indent = name.chars().count();
+        match is_long(line, width) {
+            true => {
+                let rest = wrapped(rest, width - indent);
+                format!("{name}{}", rest.replace('\n', &format!("\n{:indent$}", "")))
+            }
+            false => line.to_owned(),
+        }
+    });
+    lines.collect::<Vec<_>>().join("\n").into()
+}
+
+/// Where the text of a line begins, bytes: after its indentation, and after a name with two spaces or more behind it, at
+/// most `most` bytes from the start of the line.
+fn begin_of_text(line: &str, most: usize) -> usize {
+    let indentation = line.len() - line.trim_start_matches(' ').len();
+    let gap = line[indentation..].find("  ").map(|at| indentation + at);
+    let after = gap.map(|gap| line.len() - line[gap..].trim_start_matches(' ').len());
+    [after, Some(indentation)].into_iter().flatten().find(|at| *at <= most).unwrap_or(0)
 }
 
 /// Prints a text that is safe already, such as a drawn error with colours, on standard error.
@@ -57,9 +92,60 @@ pub fn say_drawn(picture: &str) {
     let _ = writeln!(io::stdout().lock(), "{picture}");
 }
 
+/// Wraps every line of a text at spaces. A default or variable in brackets stays in one line.
+pub fn wrapped(text: &str, width: usize) -> String {
+    let lines = text.lines().map(|line| {
+        let (mut wrapped, mut column) = (String::new(), 0);
+        for word in words(line) {
+            let length = word.chars().count();
+            if column > 0 && column + 1 + length > width {
+                wrapped.push('\n');
+                column = 0;
+            } else if column > 0 {
+                wrapped.push(' ');
+                column += 1;
+            }
+            wrapped += &word;
+            column += length;
+        }
+        wrapped
+    });
+    lines.collect::<Vec<_>>().join("\n")
+}
+
+/// Words of a line; `[env: X]` is one.
+fn words(line: &str) -> Vec<String> {
+    let mut words: Vec<String> = Vec::new();
+    let mut is_open = false;
+    for word in line.split(' ').filter(|word| !word.is_empty()) {
+        match words.last_mut().filter(|_| is_open) {
+            Some(last) => *last += &format!(" {word}"),
+            None => words.push(word.into()),
+        }
+        is_open = match (
+            word.starts_with("[env:") || word.starts_with("[default:"),
+            word.contains(']'),
+        ) {
+            (_, true) => false,
+            (true, false) => true,
+            (false, false) => is_open,
+        };
+    }
+    words
+}
+
 /// Width of the terminal behind standard output, characters; `None` if it is not a terminal.
 pub fn terminal_width() -> Option<usize> {
-    if !io::stdout().is_terminal() {
+    width_behind(&io::stdout())
+}
+
+/// Width of the terminal behind standard error, characters; `None` if it is not a terminal.
+pub fn error_width() -> Option<usize> {
+    width_behind(&io::stderr())
+}
+
+fn width_behind(stream: &impl IsTerminal) -> Option<usize> {
+    if !stream.is_terminal() {
         return None;
     }
     let (columns, _) = ratatui::crossterm::terminal::size().ok()?;
@@ -100,11 +186,6 @@ pub fn say_json(value: &impl Serialize) {
     }
 }
 
-/// Formats a count with separated thousands: `33,000`.
-pub fn grouped(count: u64) -> String {
-    HumanCount(count).to_string()
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -116,16 +197,27 @@ mod tests {
     }
 
     #[test]
+    fn a_line_is_wrapped_at_spaces_below_its_text_on_a_terminal_only() {
+        let text = "safe     No fault is known\n\n  run 3 waits for a person";
+        assert_eq!(fitted(text, None), text);
+        assert_eq!(fitted(text, Some(26)), text);
+        let wrapped = "safe     No fault is\n         known\n\n  run 3 waits for a\n  person";
+        assert_eq!(fitted(text, Some(20)), wrapped);
+        assert_eq!(fitted("a long name  of a line", Some(16)), "a long name of a\nline");
+        assert_eq!(fitted("µµµµµµµµ µ", Some(4)), "µµµµµµµµ\nµ");
+    }
+
+    #[test]
+    fn a_text_is_wrapped_at_spaces_and_not_within_brackets() {
+        assert_eq!(wrapped("one two three\n\nfour", 7), "one two\nthree\n\nfour");
+        assert_eq!(wrapped("URL [env: A] [default: b]", 9), "URL\n[env: A]\n[default: b]");
+    }
+
+    #[test]
     fn a_bar_has_its_share_of_the_width() {
         assert_eq!(filled(0.5, 4), "██");
         assert_eq!(filled(0.0, 4), "");
         assert_eq!(filled(7.0, 2), "██");
         assert_eq!(filled(1.0 / 8.0, 1), "▏");
-    }
-
-    #[test]
-    fn large_counts_read_well() {
-        let shown: Vec<String> = [0, 999, 1000, 1_234_567].map(grouped).into();
-        assert_eq!(shown, ["0", "999", "1,000", "1,234,567"]);
     }
 }

@@ -10,16 +10,14 @@ use std::time::{Duration, Instant};
 use indicatif::{ProgressBar, ProgressState, ProgressStyle};
 use parking_lot::Mutex;
 
-use super::output::{grouped, note};
+use super::output::{duration, grouped, note};
 
 /// Interval of progress lines without a terminal.
 pub const PROGRESS_LINES: Duration = Duration::from_secs(10);
 
 /// A bar on standard error, in units of this name; hidden if that is not a terminal.
 pub fn progress_bar(unit: &str) -> ProgressBar {
-    bar(&format!(
-        "{{bar:30}} {{human_pos}} / {{human_len}} {unit}, {{rate}}, {{eta}} to go {{msg}}"
-    ))
+    bar(&format!("{{bar:30}} {{human_pos}} / {{human_len}} {unit}, {{rate}}{{left}} {{msg}}"))
 }
 
 /// Progress of counted work: a bar on a terminal, elsewhere lines. It ends when it is dropped.
@@ -43,7 +41,7 @@ impl Counted {
         self.bar.set_length(total);
         self.bar.set_position(done);
         let unit = self.unit;
-        self.lines.say(|| format!("{done} of {total} {unit}"));
+        self.lines.say(|| format!("{} of {} {unit}", grouped(done), grouped(total)));
     }
 
     /// Shows that further units are done.
@@ -68,13 +66,30 @@ pub fn bar(template: &str) -> ProgressBar {
     if !std::io::stderr().is_terminal() {
         return ProgressBar::hidden();
     }
-    let style = ProgressStyle::with_template(template).map(|style| style.with_key("rate", rate));
+    let style = ProgressStyle::with_template(template)
+        .map(|style| style.with_key("rate", rate).with_key("left", left));
     ProgressBar::new(0).with_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()))
 }
 
 /// `rate` of a template: units per second.
 fn rate(state: &ProgressState, out: &mut dyn fmt::Write) {
     let _ = write!(out, "{}", rate_words(state.per_sec()));
+}
+
+/// `left` of a template: the time to go, after a comma.
+fn left(state: &ProgressState, out: &mut dyn fmt::Write) {
+    let _ = write!(out, "{}", left_words(state.pos(), state.len().unwrap_or(0), state.eta()));
+}
+
+/// The time to go, after a comma; empty while it is not known, which is a time of zero.
+fn left_words(done: u64, total: u64, eta: Duration) -> String {
+    match eta.as_secs_f64() {
+        // No unit shows how long the end of the work takes, for example closing a file.
+        _ if total > 0 && done >= total => ", finishing".into(),
+        _ if eta.is_zero() => String::new(),
+        ..1.0 => ", nearly done".into(),
+        eta_s => format!(", {} to go", duration(eta_s)),
+    }
 }
 
 /// Units per second with the digits that matter: decimals below 10 only.
@@ -244,6 +259,16 @@ mod tests {
     #[test]
     fn a_rate_has_the_digits_that_matter() {
         assert_eq!([0.0, 2.46, 35_930.37].map(rate_words), ["0.0/s", "2.5/s", "35,930/s"]);
+    }
+
+    #[test]
+    fn a_bar_never_has_zero_seconds_to_go() {
+        let shown = |done, eta_s| left_words(done, 264, Duration::from_secs_f64(eta_s));
+        assert_eq!(shown(0, 0.0), "", "no rate is known yet");
+        assert_eq!(shown(12, 725.0), ", 12 min 5 s to go");
+        assert_eq!(shown(263, 0.2), ", nearly done");
+        assert_eq!(shown(264, 0.0), ", finishing");
+        assert_eq!(left_words(0, 0, Duration::ZERO), "", "nothing is counted yet");
     }
 
     #[tokio::test]

@@ -13,10 +13,10 @@ use super::client::Client;
 use super::error::CliResult;
 use super::files::ExperimentFiles;
 use super::find::find_run;
-use super::output::{duration, say, say_json};
+use super::output::{duration, grouped, say, say_json};
 use super::run::submission;
 use super::table::{Table, or_dash};
-use super::times::{StartTime, local, second};
+use super::times::{StartTime, local};
 use super::{At, embed};
 use crate::api::{Page, QueueTime};
 use crate::store::RunRow;
@@ -134,7 +134,7 @@ async fn list(client: &Client, json: bool) -> CliResult<()> {
     let queue: Page<RunRow> = client.get("/api/v1/queue").await?;
     let times: Page<QueueTime> = client.get("/api/v1/queue/times").await?;
     let mut table = Table::new(
-        "place> | run> | experiment | trials> | submitted by | starts from | takes> | begins | ends",
+        "place> | run> | experiment | trials> | takes> | begins | ends | starts from | submitted by",
         "the queue is empty",
     );
     let (mut notes, mut refused) = (Vec::new(), BTreeMap::<&str, Vec<String>>::new());
@@ -146,17 +146,17 @@ async fn list(client: &Client, json: bool) -> CliResult<()> {
         if let Some(why) = time.and_then(|time| time.not_begun.as_ref()) {
             notes.push(format!("run {} does not begin by itself: {why}", run.scan_id));
         }
-        let at = |of: fn(&QueueTime) -> Option<Timestamp>| or_dash(time.and_then(of).map(second));
+        let at = |of: fn(&QueueTime) -> Option<Timestamp>| or_dash(time.and_then(of).map(local));
         table.push([
             or_dash(run.queue_position),
             run.scan_id.to_string(),
             run.experiment,
-            run.trials_planned.to_string(),
-            run.submitted_by,
-            run.not_before.map_or_else(String::new, local),
+            grouped(run.trials_planned),
             or_dash(time.and_then(|time| time.duration_s).map(duration)),
             at(|time| time.begin),
             at(|time| time.end),
+            run.not_before.map_or_else(String::new, local),
+            run.submitted_by,
         ]);
     }
     say(&table);

@@ -16,7 +16,7 @@ use super::client::Client;
 use super::error::{CliError, CliResult};
 use super::files::{ExperimentFiles, RigFiles, write};
 use super::follow::Watch;
-use super::output::{self, bytes, duration};
+use super::output::{self, bytes, counted, duration};
 use super::own_server::OwnServer;
 use super::rig::end_motion;
 use super::signals::Signals;
@@ -297,12 +297,12 @@ pub fn submission(client: &Client, files: &ExperimentFiles) -> serde_json::Value
 fn preflight_words(run: &RunRow, preflight: &PreflightView, status: &StatusView) -> String {
     let (low, high) = (duration(preflight.duration_low_s), duration(preflight.duration_high_s));
     format!(
-        "run {}, {} on rig {} ({}): {} trials, predicted {} ({low} .. {high}), {}",
+        "run {}, {} on rig {} ({}): {}, predicted {} ({low} .. {high}), {}",
         run.scan_id,
         run.experiment,
         status.rig.name,
         status.rig.label.as_str(),
-        preflight.trials,
+        counted(preflight.trials, "trial", "trials"),
         duration(preflight.duration_s),
         bytes(preflight.disk_bytes as f64),
     )

@@ -7,7 +7,7 @@ use std::fmt;
 use serde_json::{Value, json};
 
 use super::next::Next;
-use super::output::{counted, duration};
+use super::output::{counted, duration, grouped};
 use super::{At, DEFAULT_DATA};
 use crate::api::{History, Summary};
 use crate::evaluate::published::{REAL_HEX, REAL_RANDOM};
@@ -167,8 +167,8 @@ impl fmt::Display for Closing {
         };
         let skipped = counted(self.summary.trials_skipped, "skipped", "skipped");
         let retries = counted(self.summary.retries, "retry", "retries");
-        let stored = self.summary.trials_stored;
-        let planned = run.trials_planned;
+        let stored = grouped(self.summary.trials_stored);
+        let planned = grouped(run.trials_planned);
         line(f, "trials", format!("{stored} of {planned} stored, {skipped}, {retries}"))?;
         if let Some(wall_s) = self.summary.duration_s {
             let process = match (self.was_resumed, self.clock_rate) {
@@ -185,7 +185,7 @@ impl fmt::Display for Closing {
             let fit = self.median_fvu().map_or_else(String::new, |fvu| {
                 format!(", median FVU {fvu:.3} of trials with contact")
             });
-            line(f, "twins", format!("{twins} of {stored} simulated{fit}"))?;
+            line(f, "twins", format!("{} of {stored} simulated{fit}", grouped(twins)))?;
         }
         line(f, "database", self.database.clone())?;
         line(f, "run", run.uid.to_string())?;
@@ -208,6 +208,7 @@ impl Closing {
         let column = format!("run {} ({})", run.scan_id, run.label.as_str());
         writeln!(f, "\n  contacts {column:>18} {:>26}", format!("{name}, Table I, scaled"))?;
         for (contacts, (here, paper)) in contact_counts.iter().zip(paper).enumerate() {
+            let here = grouped(*here);
             writeln!(f, "  {contacts:>8} {here:>18} {paper:>26.1}")?;
         }
         if run.kind == RunKind::RealHex {
@@ -215,8 +216,9 @@ impl Closing {
                 self.summary.settings.iter().map(|s| s.tips.to_string()).collect();
             writeln!(
                 f,
-                "  Table I sums six settings of 33000 presses (1 to 6 tips), scaled here to \
-                 {stored} trials;\n  this run has tips {}; contacts under {} N are not counted.",
+                "  Table I sums six settings of 33,000 presses (1 to 6 tips), scaled here to \
+                 {};\n  this run has tips {}; contacts under {} N are not counted.",
+                counted(stored, "trial", "trials"),
                 tips.join(", "),
                 run.deadband_n
             )?;

@@ -4,7 +4,7 @@
 
 use std::fmt;
 
-use super::output::terminal_width;
+use super::output::{terminal_width, wrapped};
 
 /// Gap between two columns.
 const GAP: &str = "  ";
@@ -73,7 +73,26 @@ impl Table {
                 Align::Right => line.extend([&*padding, cell]),
             }
         }
-        cut(line.trim_end(), self.width)
+        let line = line.trim_end();
+        match self.width.filter(|width| length(line) > *width) {
+            Some(width) => self.fitted(line, widths, width),
+            None => line.to_owned(),
+        }
+    }
+
+    /// A line that is longer than a terminal is wide: a text in the last column continues below itself, if it begins in
+    /// the left half; otherwise the line is cut.
+    fn fitted(&self, line: &str, widths: &[usize], width: usize) -> String {
+        let others = widths.iter().take(widths.len().saturating_sub(1));
+        let column = others.map(|width| width + GAP.len()).sum::<usize>();
+        let is_text = self.heads.last().is_some_and(|(_, align)| *align == Align::Left);
+        if !is_text || column > width / 2 {
+            return cut(line, width);
+        }
+        let at = line.char_indices().nth(column).map_or(line.len(), |(at, _)| at);
+        let (before, text) = line.split_at(at);
+        let text = wrapped(text, width - column);
+        format!("{before}{}", text.replace('\n', &format!("\n{:column$}", "")))
     }
 }
 
@@ -107,15 +126,13 @@ fn one_line(cell: &str) -> String {
     cell.to_owned()
 }
 
-/// Cuts a line to the width of a terminal; elsewhere it stays whole.
-fn cut(line: &str, width: Option<usize>) -> String {
-    match width {
-        Some(width) if width >= LAST_COLUMN_MIN && length(line) > width => {
-            let kept: String = line.chars().take(width - 1).collect();
-            format!("{}…", kept.trim_end())
-        }
-        _ => line.to_owned(),
+/// Cuts a line to the width of a terminal, unless that is too narrow for anything.
+fn cut(line: &str, width: usize) -> String {
+    if width < LAST_COLUMN_MIN {
+        return line.to_owned();
     }
+    let kept: String = line.chars().take(width - 1).collect();
+    format!("{}…", kept.trim_end())
 }
 
 #[cfg(test)]
@@ -144,5 +161,18 @@ mod tests {
         assert_eq!(narrow.to_string().lines().last(), Some("  1  quickstart…"));
         narrow.width = None;
         assert_eq!(narrow.to_string().lines().last(), Some("  1  quickstart  virtual"));
+    }
+
+    #[test]
+    fn a_text_in_the_last_column_continues_below_itself() {
+        let events = |width| {
+            let mut table = Table { width, ..Table::new("time | event", "") };
+            table.push(["09:15".into(), "run paused by a person".into()]);
+            table.to_string()
+        };
+        let wrapped = "time   event\n09:15  run paused by a\n       person";
+        assert_eq!(events(Some(24)), wrapped);
+        assert_eq!(events(Some(12)), "time   event\n09:15  run…", "the right half");
+        assert_eq!(events(None), "time   event\n09:15  run paused by a person");
     }
 }

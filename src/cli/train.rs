@@ -14,7 +14,7 @@ use super::files::read_or_carried;
 use super::job::{JOB_POLL, JobScreen, shown};
 use super::leave::{Choice, Interrupt, QUESTION_ON_TRAINING};
 use super::next::Next;
-use super::output::{duration, say, say_json};
+use super::output::{duration, say, say_json, say_whole};
 use super::own_server::OwnServer;
 use super::signals::{Asked, Signals};
 use super::{At, embed, job_losses};
@@ -168,7 +168,7 @@ impl Changes {
 pub async fn train(args: TrainArgs) -> CliResult<()> {
     let recipe = recipe_text(&args.recipe, &args.changes)?;
     if args.show {
-        say(recipe.trim_end());
+        say_whole(recipe.trim_end());
         return Ok(());
     }
     let mut signals = Signals::catch()?;

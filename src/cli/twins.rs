@@ -8,7 +8,7 @@ use tokio::time::Instant;
 
 use super::client::{Client, text_of};
 use super::error::{CliError, CliResult};
-use super::output::{counted, say, say_json};
+use super::output::{counted, grouped, say, say_json};
 use super::progress::Counted;
 use super::table::Table;
 use super::view::rows;
@@ -33,10 +33,11 @@ pub async fn status(at: &At) -> CliResult<()> {
     let pool = &twins["pool"];
     let threads = counted(pool["workers"].as_u64().unwrap_or_default(), "thread", "threads");
     let rate = pool["per_s"].as_f64().map(|per_s| format!(", {per_s:.1} per second"));
-    let made = &pool["made"];
+    let number = |value: &Value| grouped(value.as_u64().unwrap_or_default());
+    let made = number(&pool["made"]);
     say(format_args!("{threads}, {made} made since the start{}", rate.unwrap_or_default()));
     if let Some(fvu) = pool["rolling"]["median_fvu"].as_f64() {
-        let trials = &pool["rolling"]["trials"];
+        let trials = number(&pool["rolling"]["trials"]);
         say(format_args!("median FVU {fvu:.3} of the last {trials} trials with a force"));
     }
     if let Some(why) = pool["last_error"].as_str() {
@@ -47,7 +48,7 @@ pub async fn status(at: &At) -> CliResult<()> {
         Table::new("run> | trials> | twins> | failures> | pending>", "no run has trials");
     for run in rows(&twins, "runs") {
         let scan_id = client.run(text_of(&run["run"])).await?.scan_id.to_string();
-        table.push([scan_id].into_iter().chain(numbers.map(|number| run[number].to_string())));
+        table.push([scan_id].into_iter().chain(numbers.map(|key| number(&run[key]))));
     }
     say(&table);
     Ok(())

@@ -99,9 +99,16 @@ pub fn bytes(count: f64) -> String {
     }
 }
 
-/// Formats a count with its noun: `1 retry`, `3 retries`.
+/// Formats a count with separated thousands: `33,000`.
+pub fn grouped(count: u64) -> String {
+    let digits: Vec<char> = count.to_string().chars().collect();
+    let groups = digits.rchunks(3).rev().map(|group| group.iter().collect::<String>());
+    groups.collect::<Vec<_>>().join(",")
+}
+
+/// Formats a count with its noun: `1 retry`, `33,000 trials`.
 pub fn counted(count: u64, one: &str, many: &str) -> String {
-    format!("{count} {}", if count == 1 { one } else { many })
+    format!("{} {}", grouped(count), if count == 1 { one } else { many })
 }
 
 #[cfg(test)]
@@ -127,6 +134,9 @@ mod tests {
         assert_eq!(bytes(2.1e8), "0.21 GB");
         assert_eq!(counted(1, "retry", "retries"), "1 retry");
         assert_eq!(counted(0, "retry", "retries"), "0 retries");
+        assert_eq!(counted(33_000, "trial", "trials"), "33,000 trials");
+        let shown: Vec<String> = [0, 999, 1000, 1_234_567].map(grouped).into();
+        assert_eq!(shown, ["0", "999", "1,000", "1,234,567"]);
     }
 
     #[test]

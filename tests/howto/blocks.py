@@ -32,7 +32,7 @@ FENCE = re.compile(r"^(\s*)```\s*(\S*)\s*$")
 WITH_VALUE = {"after", "bench", "exit", "file", "for", "mount", "needs", "wait", "with"}
 ALONE = {"bench", "background", "instead", "output", "long", "slurm"}
 UNIT = r" (?:ms|s|min|h)\b(?: \d+ (?:s|min)\b)*"
-VARIABLE = re.compile(rf"(\d+(?:\.\d+)?(?:{UNIT})?|\.\.)")
+VARIABLE = re.compile(rf"(\d+(?:,\d{{3}})*(?:\.\d+)?(?:{UNIT})?|\.\.)")
 # What a placeholder ends in is taken from the last text of this form that the page has printed.
 PRINTED = {"cal-..": r"cal-[0-9a-f]{16}", "mdl-..": r"mdl-[0-9a-f]{16}", "ds-..": r"ds-[0-9a-f]{16}",
            "job-..": r"job-[0-9a-f-]{36}", "JOB": r"(?<=Submitted batch job )\d+", "KEY": r"palpate_[0-9a-f]{64}"}
@@ -121,7 +121,7 @@ def filled(block: Block, printed: str) -> str:
 def pattern_of(line: str) -> str:
     """The regular expression of a line whose numbers and durations may differ, and in which `..` is any text."""
     def variable(text: str) -> str:
-        return ".*" if text == ".." else r"[\d.]+" + (UNIT if " " in text else "")
+        return ".*" if text == ".." else r"[\d.,]*\d" + (UNIT if " " in text else "")
 
     parts = VARIABLE.split(line)
     return "".join(variable(part) if n % 2 else re.escape(part) for n, part in enumerate(parts))

@@ -10,7 +10,7 @@ use utoipa::ToSchema;
 use super::estimate::{Bench, Estimate, Estimates, Parts, estimate, fixed_bytes};
 use super::order::Place;
 use super::plan::{Kind, Plan, PlannedConfiguration, Step};
-use crate::plain::{bytes, counted, duration};
+use crate::plain::{bytes, counted, duration, grouped};
 use crate::problem::Problem;
 
 /// Preflight of a plan on a bench.
@@ -165,10 +165,11 @@ impl fmt::Display for Preflight {
         let line = |f: &mut fmt::Formatter<'_>, name: &str, value: String| {
             writeln!(f, "  {name:<20} {value}")
         };
-        line(f, "trials", self.trials.to_string())?;
-        let distinct = self.distinct_configurations;
-        line(f, "configurations", format!("{}, {distinct} distinct", self.configurations))?;
-        line(f, "reference presses", self.reference_presses.to_string())?;
+        line(f, "trials", grouped(self.trials))?;
+        let distinct = grouped(self.distinct_configurations);
+        let configurations = grouped(self.configurations);
+        line(f, "configurations", format!("{configurations}, {distinct} distinct"))?;
+        line(f, "reference presses", grouped(self.reference_presses))?;
         let (low, high) = (duration(self.duration_low_s), duration(self.duration_high_s));
         line(f, "duration", format!("{} ({low} to {high})", duration(self.duration_s)))?;
         for (name, part_s) in self.parts.named() {
@@ -181,7 +182,8 @@ impl fmt::Display for Preflight {
             let tips = |count: u8| counted(count.into(), "tip", "tips");
             let name = setting.tips.map_or("manual".into(), tips);
             let (time, disk) = (duration(setting.duration_s), bytes(setting.disk_bytes as f64));
-            writeln!(f, "    {name:<18} {time:>12} {:>8} trials {disk:>10}", setting.trials)?;
+            let trials = grouped(setting.trials);
+            writeln!(f, "    {name:<18} {time:>12} {trials:>8} trials {disk:>10}")?;
         }
         if let Some(ratio) = self.travel_ratio {
             let (planned, drawn) = (self.travel_mm / 1e3, self.travel_random_order_mm / 1e3);
@@ -191,7 +193,7 @@ impl fmt::Display for Preflight {
         let fixed = bytes(self.disk_fixed_bytes as f64);
         line(f, "disk", format!("{}, {fixed} of it cache and log", bytes(self.disk_bytes as f64)))?;
         if let Some(words) = &self.if_silent {
-            line(f, "if the service stops", words.clone())?;
+            line(f, "if service stops", words.clone())?;
         }
         if self.problems.is_empty() {
             return line(f, "problems", "none".into());

@@ -300,7 +300,8 @@ fn answer(folder: &Path, parts: &[Part], joined: Option<&Federation>) -> Value {
 
 /// Prints the rigs and the result for people.
 fn show(folder: &Path, parts: &[Part], joined: Option<&Federation>) {
-    let mut table = Table::new("rig | dataset | rows> | fetched | state |", "there are no rigs");
+    let mut table =
+        Table::new("rig | dataset | rows> | fetched | state | note", "there are no rigs");
     for part in parts {
         let fetched = part.fetched.as_ref();
         table.push([

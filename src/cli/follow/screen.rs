@@ -9,13 +9,15 @@ use serde_json::json;
 use tokio::time::Instant;
 
 use crate::campaign::shown::status::{Eta, RunStatus};
-use crate::cli::output::{counted, duration, note, say_json, shown, terminal_width};
+use crate::cli::output::{counted, duration, error_width, grouped, note, say_json, shown};
 use crate::cli::progress::{PROGRESS_LINES, bar};
 use crate::cli::view::StatusView;
 use crate::state::StoredState;
 
 /// Width of the bar, characters.
 const BAR_COLUMNS: usize = 24;
+/// Text between two parts of the progress.
+const BETWEEN: &str = " | ";
 
 /// Output: standard error for people, standard output for scripts.
 pub(super) struct Screen {
@@ -32,7 +34,7 @@ pub(super) struct Screen {
 impl Screen {
     pub(super) fn new(json: bool, url: &str) -> Self {
         let terminal = std::io::stderr().is_terminal();
-        let bar = bar(&format!("{{bar:{BAR_COLUMNS}}} {{pos}}/{{len}} {{wide_msg}}"));
+        let bar = bar(&format!("{{bar:{BAR_COLUMNS}}} {{human_pos}}/{{human_len}} {{wide_msg}}"));
         Self { bar, terminal, json, url: url.to_owned(), told: None, stored: None }
     }
 
@@ -40,14 +42,14 @@ impl Screen {
         self.bar.set_length(run.trials_planned);
         self.bar.set_position(run.trials_stored + run.trials_skipped);
         let wait = wait_words(run, &self.url);
-        let counts = format!("{}/{}", run.trials_stored + run.trials_skipped, run.trials_planned);
-        let room =
-            terminal_width().map(|width| width.saturating_sub(BAR_COLUMNS + counts.len() + 2));
-        let words = |band| shown(progress_words(run, status, wait.as_deref(), band));
-        let words = fitting(room, words(true), || words(false));
+        let done = grouped(run.trials_stored + run.trials_skipped);
+        let counts = format!("{done}/{}", grouped(run.trials_planned));
+        let room = error_width().map(|width| width.saturating_sub(BAR_COLUMNS + counts.len() + 2));
+        let parts = |band| progress_parts(run, status, wait.as_deref(), band);
+        let words = shown(fitting(room, parts(true).join(BETWEEN), || parts(false)));
         if !self.terminal && self.is_due(wait.as_deref()) {
             self.told = Some((Instant::now(), wait));
-            note(format_args!("{}/{} {words}", run.trials_stored, run.trials_planned));
+            note(format_args!("{counts} {words}"));
         }
         self.bar.set_message(words);
         if self.json && self.stored != Some(run.trials_stored) {
@@ -99,16 +101,28 @@ fn wait_words(run: &RunStatus, url: &str) -> Option<String> {
     }
 }
 
-/// The words, or the short ones if a terminal has no room for them: a cut estimate could be read as another one.
-fn fitting(room: Option<usize>, words: String, short: impl FnOnce() -> String) -> String {
-    match room.is_some_and(|room| words.chars().count() > room) {
-        true => short(),
-        false => words,
+/// The words, or those of the short `parts` that a terminal has room for, the first ones: a cut number could be read as
+/// another one.
+fn fitting(room: Option<usize>, words: String, parts: impl FnOnce() -> Vec<String>) -> String {
+    let has_room = |words: &str| room.is_none_or(|room| words.chars().count() <= room);
+    if has_room(&words) {
+        return words;
     }
+    let mut parts = parts();
+    while parts.len() > 1 && !has_room(&parts.join(BETWEEN)) {
+        parts.pop();
+    }
+    parts.join(BETWEEN)
 }
 
-/// Progress as text; `wait`: the words for what the run waits for; `band`: whether the estimate has its band.
-fn progress_words(run: &RunStatus, status: &StatusView, wait: Option<&str>, band: bool) -> String {
+/// Progress as text, the most important part first; `wait`: the words for what the run waits for; `band`: whether the
+/// estimate has its band.
+fn progress_parts(
+    run: &RunStatus,
+    status: &StatusView,
+    wait: Option<&str>,
+    band: bool,
+) -> Vec<String> {
     let mut parts = vec![match (wait, run.state) {
         (Some(wait), _) => wait.to_owned(),
         (None, StoredState::Running) => run.phase.as_str().replace('_', "-"),
@@ -119,7 +133,7 @@ fn progress_words(run: &RunStatus, status: &StatusView, wait: Option<&str>, band
     }
     parts.extend(run.eta.map(|eta| eta_words(&eta, band)));
     if run.trials_skipped > 0 {
-        parts.push(format!("{} skipped", run.trials_skipped));
+        parts.push(format!("{} skipped", grouped(run.trials_skipped)));
     }
     if run.retries > 0 {
         parts.push(counted(run.retries, "retry", "retries"));
@@ -127,10 +141,14 @@ fn progress_words(run: &RunStatus, status: &StatusView, wait: Option<&str>, band
     if let Some(force_n) = status.rig.max_force_n() {
         parts.push(force_words(force_n));
     }
-    parts.join(" | ")
+    parts
 }
 
+/// When the run ends. At its very end a time would remain zero while the last work takes longer.
 fn eta_words(eta: &Eta, band: bool) -> String {
+    if eta.remaining_s < 1.0 {
+        return "nearly done".into();
+    }
     let (low, high) = (duration(eta.low_s), duration(eta.high_s));
     let band = if band { format!(" ({low} .. {high})") } else { String::new() };
     format!("done in {}{band}", duration(eta.remaining_s))
@@ -182,9 +200,13 @@ mod tests {
         let eta = Eta { remaining_s: 130.0, low_s: 110.0, high_s: 160.0 };
         let shown = "done in 2 min 10 s (1 min 50 s .. 2 min 40 s)";
         assert_eq!(eta_words(&eta, true), shown);
-        let words = |room| fitting(room, eta_words(&eta, true), || eta_words(&eta, false));
+        let short = || vec![eta_words(&eta, false), force_words(21.14)];
+        let words = |room| fitting(room, eta_words(&eta, true), short);
         assert_eq!(words(None), shown);
         assert_eq!(words(Some(shown.len())), shown);
-        assert_eq!(words(Some(shown.len() - 1)), "done in 2 min 10 s");
+        assert_eq!(words(Some(shown.len() - 1)), "done in 2 min 10 s | max 21.1 N");
+        assert_eq!(words(Some(30)), "done in 2 min 10 s", "no part of the force");
+        assert_eq!(words(Some(5)), "done in 2 min 10 s");
+        assert_eq!(eta_words(&Eta { remaining_s: 0.0, low_s: 0.0, ..eta }, true), "nearly done");
     }
 }

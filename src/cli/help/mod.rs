@@ -1,7 +1,9 @@
 //! The help of all commands: groups, examples, exit codes, and lines that fit a terminal.
-//! Uses: clap, `examples.txt`. Never: what a command does; the options (their doc comments state them).
+//! Uses: clap, `examples.txt`, `output` (the width of the terminal). Never: what a command does; the options (their doc comments state them).
 
 use clap::{Arg, Command};
+
+use super::output::{fitted, terminal_width, wrapped};
 
 /// Examples, one per line, as they are typed: each is shown by the command that it calls. A test parses each.
 const EXAMPLES: &str = include_str!("examples.txt");
@@ -45,8 +47,10 @@ Exit codes:
 With --json an error is one line of JSON on standard error: title, detail, exit_code and errors,
 each with file, key, value, limit and, if known, its place.";
 
-/// Columns of a terminal.
-const WIDTH: usize = 100;
+/// Columns of a help on a wide terminal, and without one.
+pub const WIDTH: usize = 100;
+/// Columns of a help on a narrower terminal.
+const NARROWEST: usize = 60;
 /// Indentation of a help below its option.
 const BELOW: usize = 10;
 /// Widest column of options with their helps next to them.
@@ -54,27 +58,33 @@ const SIDE: usize = 42;
 /// Start and end of a heading on a terminal; clap removes them elsewhere.
 const HEADING: [&str; 2] = ["\u{1b}[1m\u{1b}[4m", "\u{1b}[0m"];
 
-/// Completes the command line: what it prints as help, for every command.
-pub fn complete(mut root: Command) -> Command {
+/// Columns of a help on the terminal behind standard output.
+pub fn width() -> usize {
+    terminal_width().unwrap_or(WIDTH).clamp(NARROWEST, WIDTH)
+}
+
+/// Completes the command line: what it prints as help, for every command. `width`: columns of its lines.
+pub fn complete(mut root: Command, width: usize) -> Command {
     // Options that hold for subcommands, too, reach them here.
     root.build();
-    let groups = groups(&root);
-    let root = root.after_help(format!("{ENVIRONMENT}\n\n{EXIT_CODES}"));
+    let groups = groups(&root, width);
+    let after = format!("{ENVIRONMENT}\n\n{EXIT_CODES}");
+    let root = root.after_help(fitted(&after, Some(width)).into_owned());
     let template = format!(
         "{{about-with-newline}}\n{{usage-heading}} {{usage}}\n\n{groups}{}\n{{options}}{{after-help}}",
         heading("Options")
     );
-    tidy(root, "").help_template(template)
+    tidy(root, "", width).help_template(template)
 }
 
 /// The commands in their groups, as text.
-fn groups(root: &Command) -> String {
+fn groups(root: &Command, width: usize) -> String {
     let mut text = String::new();
     for (name, commands) in GROUPS {
         text += &format!("{}\n", heading(name));
         for command in commands.iter().filter_map(|name| root.find_subcommand(name)) {
             let about = command.get_about().map(ToString::to_string).unwrap_or_default();
-            let about = wrapped(&about, WIDTH - 20).replace('\n', &format!("\n{:20}", ""));
+            let about = wrapped(&about, width - 20).replace('\n', &format!("\n{:20}", ""));
             text += &format!("  {:<16}  {about}\n", command.get_name());
         }
         text.push('\n');
@@ -87,7 +97,7 @@ fn heading(name: &str) -> String {
 }
 
 /// Adds examples to a command and its subcommands, and wraps their texts.
-fn tidy(command: Command, path: &str) -> Command {
+fn tidy(command: Command, path: &str, width: usize) -> Command {
     let after = command.get_after_help().map(ToString::to_string).unwrap_or_default();
     let mut text = after.trim_end().to_owned();
     let lines = examples(&command, path);
@@ -102,25 +112,25 @@ fn tidy(command: Command, path: &str) -> Command {
     let (about, long) = (shown(command.get_about()), shown(command.get_long_about()));
     let mut command = command.after_help(text);
     if let Some(about) = about {
-        command = command.about(wrapped(&about, WIDTH - 22));
+        command = command.about(wrapped(&about, width - 22));
     }
     if let Some(long) = long {
-        command = command.long_about(wrapped(&long, WIDTH));
+        command = command.long_about(wrapped(&long, width));
     }
     let arguments: Vec<&Arg> = command.get_arguments().filter(|arg| !arg.is_hide_set()).collect();
     let column = 8 + arguments.iter().map(|arg| arg.to_string().len()).max().unwrap_or(0);
     let widest = arguments.iter().map(|arg| tail(arg).len()).max().unwrap_or(0);
-    let beside = column <= SIDE && widest + column < WIDTH;
-    let width = if beside { WIDTH - column } else { WIDTH - BELOW };
+    let beside = column <= SIDE && widest + column < width;
+    let room = if beside { width - column } else { width - BELOW };
     command = command.next_line_help(!beside).mut_args(|arg| {
         let help = shown(arg.get_help()).unwrap_or_default();
         let long = shown(arg.get_long_help()).unwrap_or_else(|| help.clone());
-        let short = with_room(wrapped(&help, width), tail(&arg).len(), width);
-        arg.help(short).long_help(wrapped(&long, WIDTH - BELOW))
+        let short = with_room(wrapped(&help, room), tail(&arg).len(), room);
+        arg.help(short).long_help(wrapped(&long, width - BELOW))
     });
     command.mut_subcommands(|inner| {
         let path = format!("{path} {}", inner.get_name());
-        tidy(inner, path.trim_start())
+        tidy(inner, path.trim_start(), width)
     })
 }
 
@@ -166,56 +176,12 @@ fn with_room(text: String, more: usize, width: usize) -> String {
     if more == 0 || last + 1 + more <= width { text } else { text + "\n" }
 }
 
-/// Wraps every line of a text at spaces. A default or variable in brackets stays in one line.
-pub(super) fn wrapped(text: &str, width: usize) -> String {
-    let lines = text.lines().map(|line| {
-        let (mut wrapped, mut column) = (String::new(), 0);
-        for word in words(line) {
-            let length = word.chars().count();
-            if column > 0 && column + 1 + length > width {
-                wrapped.push('\n');
-                column = 0;
-            } else if column > 0 {
-                wrapped.push(' ');
-                column += 1;
-            }
-            wrapped += &word;
-            column += length;
-        }
-        wrapped
-    });
-    lines.collect::<Vec<_>>().join("\n")
-}
-
-/// Words of a line; `[env: X]` is one.
-fn words(line: &str) -> Vec<String> {
-    let mut words: Vec<String> = Vec::new();
-    let mut is_open = false;
-    for word in line.split(' ').filter(|word| !word.is_empty()) {
-        match words.last_mut().filter(|_| is_open) {
-            Some(last) => *last += &format!(" {word}"),
-            None => words.push(word.into()),
-        }
-        is_open = match (
-            word.starts_with("[env:") || word.starts_with("[default:"),
-            word.contains(']'),
-        ) {
-            (_, true) => false,
-            (true, false) => true,
-            (false, false) => is_open,
-        };
-    }
-    words
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
 
     #[test]
-    fn a_text_is_wrapped_at_spaces_and_not_within_brackets() {
-        assert_eq!(wrapped("one two three\n\nfour", 7), "one two\nthree\n\nfour");
-        assert_eq!(wrapped("URL [env: A] [default: b]", 9), "URL\n[env: A]\n[default: b]");
+    fn a_default_that_has_no_room_is_in_the_next_line() {
         assert_eq!(with_room("one".into(), 4, 7), "one\n");
         assert_eq!(with_room("one".into(), 3, 7), "one");
     }

@@ -1,18 +1,17 @@
 //! `palpate actions`: who requested what, when, why, and with which result.
 //! Uses: `client`, `table`. Never: a change.
 
-use std::collections::{BTreeMap, BTreeSet};
-
 use serde_json::json;
 
 use super::ActionsArgs;
+use super::answers::numbers_of;
 use crate::cli::client::Client;
 use crate::cli::error::CliResult;
 use crate::cli::find::find_run;
 use crate::cli::output::{say, say_json};
 use crate::cli::table::{Table, or_dash};
 use crate::cli::times::second;
-use crate::store::{ActionRow, RunRow};
+use crate::store::ActionRow;
 
 /// Runs `palpate actions`.
 ///
@@ -29,24 +28,16 @@ pub async fn actions(client: &Client, args: &ActionsArgs) -> CliResult<()> {
         say_json(&json!({ "items": found, "all": is_all }));
         return Ok(());
     }
-    // An action names its run by the uid, a person by the number.
-    let mut numbers = BTreeMap::new();
-    let uids = found.iter().filter_map(|action| action.run).map(|run| run.to_string());
-    for uid in uids.collect::<BTreeSet<_>>() {
-        let row: Option<RunRow> = client.if_there(&format!("/api/v1/runs/{uid}")).await?;
-        numbers.insert(uid, row.map(|row| row.scan_id));
-    }
-    let number = |action: &ActionRow| *numbers.get(&action.run?.to_string())?;
-    let mut table =
-        Table::new("time | action | run> | who | | why, values", "there are no actions");
+    let numbers = numbers_of(client, found.iter().filter_map(|action| action.run)).await?;
+    let number = |action: &ActionRow| numbers.get(&action.run?.to_string());
+    let mut table = Table::new("time | action | run> | who | why, values", "there are no actions");
     for action in &found {
         let words = action.why.iter().chain(&action.detail).cloned().collect::<Vec<_>>();
         table.push([
             second(action.at),
-            action.action.clone(),
+            format!("{}{}", action.action, if action.accepted { "" } else { " (refused)" }),
             or_dash(number(action)),
             action.who.clone(),
-            if action.accepted { "" } else { "refused" }.into(),
             words.join("; "),
         ]);
     }

@@ -1,6 +1,8 @@
 //! What these commands read of the service about a run, and how its end reads.
 //! Uses: `client`, `progress`. Never: a decision about a run.
 
+use std::collections::{BTreeMap, BTreeSet};
+
 use jiff::{SignedDuration, Timestamp};
 use serde::{Deserialize, Serialize};
 
@@ -103,6 +105,22 @@ pub async fn all_trials(client: &Client, run: RunUid, expected: u64) -> CliResul
             _ => return Ok(all),
         }
     }
+}
+
+/// Returns the numbers of runs, by their uids as text: a record names its run by the uid, a person by the number.
+///
+/// # Errors
+/// As [`Client::send`].
+pub async fn numbers_of(
+    client: &Client,
+    runs: impl Iterator<Item = RunUid>,
+) -> CliResult<BTreeMap<String, i64>> {
+    let mut numbers = BTreeMap::new();
+    for uid in runs.map(|run| run.to_string()).collect::<BTreeSet<_>>() {
+        let row: Option<RunRow> = client.if_there(&format!("/api/v1/runs/{uid}")).await?;
+        numbers.extend(row.map(|row| (uid, row.scan_id)));
+    }
+    Ok(numbers)
 }
 
 /// How a run ended, or its state with the reason of a wait.

@@ -114,8 +114,13 @@ pub async fn diff(client: &Client, args: &DiffArgs) -> CliResult<()> {
     };
     let frames = frames(client, &paired).await?;
     let mut words = side_by_side(&before, &after).to_string();
-    for (name, changes) in &files {
+    for (name, changes) in files.iter().filter(|(_, changes)| !changes.is_empty()) {
         words += &format!("\n\n{}", file_words(name, changes, a.scan_id, b.scan_id));
+    }
+    let same = files.iter().filter(|(_, changes)| changes.is_empty());
+    let same: Vec<&str> = same.map(|(name, _)| *name).collect();
+    if !same.is_empty() {
+        words += &format!("\n\nfiles that are the same: {}", same.join(", "));
     }
     let forces = forces_words(&before, &after, &paired);
     words += &format!("\n\n{forces}\n{}", frames_words(&frames, a.scan_id, b.scan_id));
@@ -156,9 +161,6 @@ fn side_by_side(before: &Side, after: &Side) -> Table {
 }
 
 fn file_words(name: &str, changes: &[Change], a: i64, b: i64) -> String {
-    if changes.is_empty() {
-        return format!("{name} file: the same");
-    }
     let mut table = Table::new(&format!("key | run {a} | run {b}"), "");
     for change in changes {
         let Change { key, before, after } = change;

@@ -1,13 +1,14 @@
 //! `palpate events`: what happened, as a list or as it happens.
 //! Uses: `client`, `view`, `stream`. Never: a change, an event that was not stored.
 
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, VecDeque};
 use std::time::Duration;
 
 use futures::StreamExt;
 use jiff::Timestamp;
 use serde_json::json;
 
+use super::answers::numbers_of;
 use super::stream::Collect;
 use super::{EventsArgs, check_names};
 use crate::api::Page;
@@ -16,7 +17,7 @@ use crate::cli::embed;
 use crate::cli::error::{CliError, CliResult};
 use crate::cli::find::find_run;
 use crate::cli::output::{note, say, say_json};
-use crate::cli::table::Table;
+use crate::cli::table::{Table, or_dash};
 use crate::cli::times::{Since, second};
 use crate::cli::view::EventView;
 use crate::event::{Importance, KINDS};
@@ -103,16 +104,38 @@ async fn list(client: &Client, args: &EventsArgs) -> CliResult<()> {
     let kept = newest(client, args, &selection, limit).await?;
     let filtered = !args.kind.is_empty() || args.since.is_some() || args.important;
     let empty = if filtered { "no event fits" } else { "there are no events" };
-    let mut table = Table::new("time | kind | event", empty);
-    for event in &kept {
-        table.push([time(event), event.kind.clone(), event.sentence()]);
+    let mut words = match args.run.is_some() || args.at.json {
+        true => table(&kept, None, empty),
+        false => {
+            let numbers = numbers_of(client, kept.iter().filter_map(|event| event.run)).await?;
+            table(&kept, Some(&numbers), empty)
+        }
     }
-    let mut words = table.to_string();
+    .to_string();
     if Some(kept.len()) == limit && args.limit.is_none() {
         words += &format!("\nthe newest {}; --limit N or --since 8h shows more", kept.len());
     }
     args.at.output().say(&json!({ "items": kept }), words);
     Ok(())
+}
+
+/// The events as a table, with the `numbers` of their runs if they may be of several ones.
+fn table(
+    events: &VecDeque<EventView>,
+    numbers: Option<&BTreeMap<String, i64>>,
+    empty: &'static str,
+) -> Table {
+    let run = if numbers.is_some() { "run> | " } else { "" };
+    let mut table = Table::new(&format!("time | kind | {run}event"), empty);
+    for event in events {
+        let mut cells = vec![time(event), event.kind.clone()];
+        if let Some(numbers) = numbers {
+            cells.push(or_dash(event.run.and_then(|run| numbers.get(&run.to_string()))));
+        }
+        cells.push(event.sentence());
+        table.push(cells);
+    }
+    table
 }
 
 async fn follow(client: &Client, args: &EventsArgs) -> CliResult<()> {

@@ -10,7 +10,7 @@ use super::show_trial::{Frames, named, stored};
 use crate::cli::client::Client;
 use crate::cli::error::{CliError, CliResult};
 use crate::cli::find::find_run;
-use crate::cli::output::{note, say, say_json};
+use crate::cli::output::{note, say_json, say_whole};
 
 /// Records per request; a longer list has several pages.
 const PAGE_RECORDS: usize = 1000;
@@ -60,7 +60,7 @@ pub async fn show(client: &Client, what: &str, part: Part) -> CliResult<()> {
         let list: Vec<Value> = client.all(&format!("{path}?limit={PAGE_RECORDS}")).await?;
         print(&list, format_args!("run {} has no {name}", run.scan_id));
     } else {
-        say(client.text(&path).await?.trim_end());
+        say_whole(client.text(&path).await?.trim_end());
     }
     Ok(())
 }

@@ -51,12 +51,12 @@ impl RunLine {
         [
             run.scan_id.to_string(),
             run.experiment.clone(),
-            run.kind.as_str().into(),
+            run.label.as_str().into(),
             state_words(run),
             stored_words(*trials_stored, run.trials_planned),
             or_dash(run.started_at.map(local)),
             or_dash(took.map(duration_words)),
-            run.label.as_str().into(),
+            run.kind.as_str().into(),
         ]
     }
 }
@@ -79,7 +79,7 @@ pub async fn runs(client: &Client, args: &RunsArgs) -> CliResult<()> {
         false => "there are no runs: palpate run quickstart",
     };
     let mut table = Table::new(
-        "run> | experiment | kind | state | stored> | started | duration> | label",
+        "run> | experiment | label | state | stored> | started | duration> | kind",
         empty,
     );
     lines.iter().for_each(|line| table.push(line.cells()));

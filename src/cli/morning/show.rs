@@ -145,8 +145,8 @@ fn facts(summary: &Summary, twins: TwinsOf, median_fvu: Option<f64>, night: &Nig
         let words = format!("{tips}, largest in each of {configurations}:");
         line("force", format!("{words} median {median_n:.1} N, at most {largest_n:.1} N"));
     }
-    let fit =
-        median_fvu.map_or_else(String::new, |fvu| format!(", median FVU {fvu:.3} of contacts"));
+    let fit = median_fvu
+        .map_or_else(String::new, |fvu| format!(", median FVU {fvu:.3} of trials with contact"));
     line("twins", format!("{} of {}{fit}", grouped(twins.twins), grouped(twins.trials)));
     line("uid", run.uid.to_string());
     line("submitted", run.submitted_by.clone());

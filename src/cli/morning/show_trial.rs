@@ -15,7 +15,7 @@ use crate::cli::times::second;
 use crate::store::TrialRow;
 
 /// Width of the bar of a force, characters.
-const BAR: usize = 40;
+const BAR: usize = 36;
 
 /// What a person typed for a trial.
 #[derive(Debug, PartialEq, Eq)]
@@ -119,7 +119,7 @@ fn words(trial: &TrialRow) -> String {
         or_dash(value.map(|value| format!("{value:.digits$} {unit}")))
     };
     let mut text = format!(
-        "trial t{} ({}): run {}, {}; configuration {}, depth {}, attempt {}",
+        "trial t{} ({}): run {}, {}; configuration {}, depth index {}, attempt {}",
         trial.trial_id.0,
         trial.label.as_str(),
         trial.scan_id,

@@ -9,6 +9,7 @@ use crate::cli::client::Client;
 use crate::cli::embed::{self, Purpose::Reads};
 use crate::cli::error::{CliError, CliResult};
 use crate::cli::find::find_run;
+use crate::cli::next::Next;
 use crate::cli::output::grouped;
 use crate::cli::table::{Table, or_dash};
 use crate::store::TrialRow;
@@ -65,7 +66,7 @@ async fn list(client: &Client, args: &TrialsArgs, asked: Asked) -> CliResult<()>
     let path = format!("{list}?{}", encoded(&pairs));
     let (found, is_all) = client.first::<TrialRow>(&path, args.limit).await?;
     let is_everything = run.is_none() && pairs.len() == 1;
-    let mut words = table(&found, run.is_none()).to_string();
+    let (mut words, mut next) = (table(&found, run.is_none()).to_string(), Next::of(&args.at));
     if let Some(first) = found.first() {
         let which = if args.oldest { "oldest" } else { "newest" };
         let count = grouped(found.len() as u64);
@@ -73,24 +74,25 @@ async fn list(client: &Client, args: &TrialsArgs, asked: Asked) -> CliResult<()>
             true => format!("all {count}"),
             false => format!("the {which} {count}; --limit N shows more"),
         };
-        let dataset = run.map_or("run-N".into(), |run| format!("run-{}", run.scan_id));
-        words += &format!(
-            "\n{shown}\none trial, drawn: palpate show t{}\nas a file, with frames: palpate dataset export \
-             {dataset} --format parquet (or csv, npz, ..)",
-            first.trial_id.0
+        words += &format!("\n{shown}");
+        let (trial, run) = (first.trial_id.0, first.scan_id);
+        next = next.suggest(format_args!("palpate show t{trial}"), "draws this trial").suggest(
+            format_args!("palpate dataset export run-{run} --format csv"),
+            format_args!("all of run {run} as a file, with frames"),
         );
     } else if is_everything {
         words =
             "there are no trials: palpate run quickstart measures some on the virtual rig".into();
     }
     args.at.output().say(&json!({ "items": found, "all": is_all }), words);
+    next.say();
     Ok(())
 }
 
 fn table(trials: &[TrialRow], with_run: bool) -> Table {
     let run = if with_run { "run> | " } else { "" };
     let heads = format!(
-        "trial> | {run}configuration> | depth, mm> | tips> | contacts> | largest, N> | FVU> | measured | flags"
+        "trial> | {run}configuration> | depth, mm> | tips> | contacts> | largest, N> | FVU> | flags | measured"
     );
     let mut table = Table::new(&heads, "no trial fits");
     for trial in trials {
@@ -106,8 +108,8 @@ fn table(trials: &[TrialRow], with_run: bool) -> Table {
             trial.contact_count.to_string(),
             or_dash(trial.max_force_n.map(|n| format!("{n:.2}"))),
             or_dash(trial.fvu.map(|fvu| format!("{fvu:.3}"))),
-            or_dash(trial.measured_at.map(crate::cli::times::second)),
             flags.join(", "),
+            or_dash(trial.measured_at.map(crate::cli::times::second)),
         ]);
         table.push(cells);
     }

@@ -15,7 +15,7 @@ use sim_core::batch::BatchModel;
 use crate::cli::At;
 use crate::cli::error::CliResult;
 use crate::cli::next::Next;
-use crate::cli::output::{self, bytes, counted, duration, say, say_json};
+use crate::cli::output::{self, bytes, counted, duration, grouped, say, say_json};
 use crate::cli::progress::{LogLines, progress_bar};
 use crate::cli::signals::Signals;
 use crate::cli::simulate::request::{RandomRequest, SolvedRequest, threads};
@@ -125,7 +125,7 @@ impl Screen {
                 self.bar.set_position(self.checked);
                 self.bar.set_message("(check of existing shards)");
                 let (checked, trials) = (self.checked, self.trials);
-                self.lines.say(|| format!("{checked}/{trials} checked"));
+                self.lines.say(|| format!("{}/{} checked", grouped(checked), grouped(trials)));
             }
             Progress::Found { trials, damaged } => {
                 self.found = trials;
@@ -145,7 +145,8 @@ impl Screen {
                 let (done, trials, rate) = (self.found + self.made, self.trials, self.rate());
                 self.lines.say(|| {
                     let left = duration((trials - done) as f64 / rate);
-                    format!("{done}/{trials} {rate:.0} trials/s | done in {left}")
+                    let counts = format!("{}/{}", grouped(done), grouped(trials));
+                    format!("{counts} {rate:.0} trials/s | done in {left}")
                 });
             }
             Progress::Shard(row) => {
@@ -187,13 +188,13 @@ impl Screen {
             return;
         }
         let there = format!(
-            "{} trials in {}, {}, in {}",
-            self.stored,
+            "{} in {}, {}, in {}",
+            counted(self.stored, "trial", "trials"),
             counted(shards.len() as u64, "shard", "shards"),
             bytes(size as f64),
             args.out.display(),
         );
-        let (made, wall, rate) = (self.made, duration(wall_s), self.rate());
+        let (made, wall, rate) = (grouped(self.made), duration(wall_s), self.rate());
         let end = if complete { "" } else { "stopped: " };
         say(format_args!("{end}{there}; {made} made in {wall} ({rate:.0}/s)"));
         let next = Next::of(&At { data: args.request.data.clone(), ..At::default() });

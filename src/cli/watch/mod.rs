@@ -183,7 +183,7 @@ fn answer(asked: Asked, night: &mut Night, client: &Client, at: &At, news: &Send
         night.outcome = Some("no run is active".into());
         return;
     };
-    let (run, scan_id) = (run.uid, run.scan_id);
+    let of = ask::ActedRun::from(run);
     // The status that the person sees.
     let shown_at = night.status.as_ref().and_then(|status| status.at);
     let (client, action, mut more) = match asked {
@@ -194,8 +194,8 @@ fn answer(asked: Asked, night: &mut Night, client: &Client, at: &At, news: &Send
     more["why"] = "key at status --watch".into();
     night.outcome = Some(format!("{action} requested"));
     tokio::spawn(async move {
-        let words = match client.act(run, action, more).await {
-            Ok(()) => format!("run {scan_id}: {action} accepted"),
+        let words = match client.act(of.uid, action, more).await {
+            Ok(()) => of.accepted(action),
             Err(error) => error.to_string(),
         };
         let _ = news.send(News::Outcome(words)).await;

@@ -4,7 +4,7 @@
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use super::needs::{Around, cause_of, not_raised, not_stopped, sentence};
+use super::needs::{Around, not_raised, not_stopped, sentence};
 use crate::campaign::bench::rig_state::RigState;
 use crate::campaign::shown::status::{RunStatus, Status};
 use crate::plain::{bytes, counted};
@@ -88,7 +88,8 @@ fn safe(status: &Status) -> (Rating, String) {
         return (Rating::Bad, words);
     }
     if let Some(trip) = &rig.trip {
-        return (Rating::Bad, format!("Stopped by a fault{}.", cause_of(trip)));
+        // The need to reset states its cause.
+        return (Rating::Bad, format!("Stopped by a fault ({}).", trip.kind.name()));
     }
     if rig.state == RigState::Disconnected {
         return (Rating::Unknown, "Nothing moves: the wires are closed.".into());
@@ -222,7 +223,7 @@ mod tests {
         let silent = "No frame for 4 s: check the readout.";
         assert_eq!(safe(&rig), (Rating::Warn, silent.to_owned()));
         rig.rig.trip = Some(Trip { kind: TripKind::Force, detail: "arm 2: 81.0 N".into() });
-        let trip = "Stopped by a fault (force): arm 2: 81.0 N.";
+        let trip = "Stopped by a fault (force).";
         assert_eq!(safe(&rig), (Rating::Bad, trip.to_owned()));
         rig.rig.trip = Some(Trip { kind: TripKind::Estop, detail: String::new() });
         assert_eq!(safe(&rig).1, "Stopped by a fault (estop).");

@@ -146,7 +146,7 @@ pub(super) fn not_raised(status: &Status) -> Option<String> {
 }
 
 /// Kind and cause of a trip, to be appended to a word.
-pub(super) fn cause_of(trip: &Trip) -> String {
+fn cause_of(trip: &Trip) -> String {
     let kind = trip.kind.name();
     match trip.detail.as_str() {
         "" => format!(" ({kind})"),
@@ -214,7 +214,10 @@ fn of_run(run: &RunStatus, status: &Status, is_of_rig: bool, is_unstored: bool) 
     let refused = stands.then(|| next.refused(status)).flatten();
     let may_stay = why == PausedWhy::Operator && refused.is_none() && !is_unstored;
     let importance = if may_stay { Importance::Look } else { Importance::Act };
-    let detail = run.waiting_for.as_ref().map_or_else(String::new, |words| format!(": {words}"));
+    // The need to reset states the cause of a latched trip.
+    let stated = status.rig.trip.as_ref().map(|trip| &trip.detail);
+    let detail = run.waiting_for.as_ref().filter(|words| Some(*words) != stated);
+    let detail = detail.map_or_else(String::new, |words| format!(": {words}"));
     let cause = format!("{}{detail}{}", why.about(), weights(run));
     let head = if kind == NeedKind::Resume { "the run waits: " } else { "" };
     let mut words = sentence(&format!("{head}{cause}"));
@@ -342,6 +345,14 @@ pub(super) mod tests {
         assert_eq!(kinds, [NeedKind::Home, NeedKind::Resume]);
         waits.rig.motion = Some(Motion::Homing);
         assert_eq!(of(&waits)[0].2, "The run waits: the rig tripped.");
+        // The cause is stated once.
+        let detail = "arm 2: 81.0 N over 80.0 N";
+        waits.run.as_mut().unwrap().waiting_for = Some(detail.into());
+        assert_eq!(of(&waits)[0].2, format!("The run waits: the rig tripped: {detail}."));
+        (waits.rig.trip, waits.rig.motion) = (trip(TripKind::Force, detail), None);
+        let words: Vec<String> = of(&waits).into_iter().map(|(.., words)| words).collect();
+        let reset = format!("Tripped (force): {detail}. Clear the cause, reset, then home.");
+        assert_eq!(words, [reset, "The run waits: the rig tripped.".into()]);
     }
 
     #[test]

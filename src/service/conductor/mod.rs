@@ -22,6 +22,7 @@ use crate::campaign::shown::run_action;
 use crate::campaign::spans::run_span;
 use crate::ids::RunUid;
 use crate::journal::{ExitStatus, Journal, error_chain};
+use crate::plain::grouped;
 use crate::rig::setup::RigSetup;
 use crate::schedule::preflight::Preflight;
 use crate::state::{PausedWhy, StoredState};
@@ -308,7 +309,8 @@ impl Conductor {
         self.end_bringing_up(run.uid);
         self.forget(run.uid);
         let stored: u64 = self.inner.store.contact_counts(run.uid).await?.iter().sum();
-        let reason = format!("aborted at {stored} of {} trials, not driven", run.trials_planned);
+        let (stored, planned) = (grouped(stored), grouped(run.trials_planned));
+        let reason = format!("aborted at {stored} of {planned} trials, not driven");
         let status = ExitStatus::Abort;
         self.inner.store.end_run(run.uid, status, &reason, Timestamp::now()).await?;
         // An attempt that began meanwhile still found it open.

@@ -93,7 +93,7 @@ def tripped(status):
         asked_of_run(status, "pause", "stop", "abort", why="the rig is tripped: reset, home")
     trip = "cell 3 reads 91.4 N, limit 88.0 N."
     needs(status, ("reset", f"Tripped (force): {trip} Clear the cause, reset, then home.", "rig"),
-          safe=f"Stopped by a fault (force): {trip}")
+          safe="Stopped by a fault (force).")
 
 
 def halted(status):

@@ -48,10 +48,12 @@ pub async fn report(client: &Client, args: &ReportArgs) -> CliResult<()> {
     };
     let found: Vec<String> =
         findings::findings(&facts).into_iter().map(|finding| finding.words).collect();
-    let mut lines: Vec<String> = found.iter().map(|words| format!("- {words}")).collect();
     let count = counted(found.len() as u64, "finding", "findings");
-    lines.push(format!("{count}; {}", file.display()));
-    lines.extend(printed.iter().map(|pdf| pdf.display().to_string()));
+    let (number, name, label) = (run.scan_id, &run.experiment, run.label.as_str());
+    let mut lines = vec![format!("run {number}, {name} ({label}): {count}")];
+    lines.extend(found.iter().map(|words| format!("- {words}")));
+    let written = [&file].into_iter().chain(&printed);
+    lines.extend(written.map(|path| format!("written to {}", path.display())));
     let made = json!({ "run": run.uid, "html": file, "pdf": printed, "findings": found });
     args.at.output().say(&made, lines.join("\n"));
     let scan_id = run.scan_id;

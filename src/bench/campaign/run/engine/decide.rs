@@ -14,6 +14,7 @@ use crate::campaign::run::run_state::{PausedWhy, RunAction, RunEvent, RunState};
 use crate::campaign::shown::safe_end::Tips;
 use crate::campaign::shown::status::Wanted;
 use crate::journal::{ExitStatus, error_chain};
+use crate::plain::grouped;
 use crate::record::AttemptRecord;
 use crate::schedule::plan::Kind;
 
@@ -254,13 +255,14 @@ fn requested_end(
     skipped: u64,
     planned: u64,
 ) -> (ExitStatus, String) {
+    let share = format!("{} of {} trials", grouped(stored), grouped(planned));
     match status {
         ExitStatus::Stopped if stored + skipped >= planned => {
             (ExitStatus::Success, "stopped after its last trial".into())
         }
-        ExitStatus::Stopped => (status, format!("stopped at {stored} of {planned} trials")),
+        ExitStatus::Stopped => (status, format!("stopped at {share}")),
         ExitStatus::Success | ExitStatus::Abort | ExitStatus::Fail => {
-            (status, format!("aborted at {stored} of {planned} trials"))
+            (status, format!("aborted at {share}"))
         }
     }
 }
@@ -291,8 +293,8 @@ mod tests {
     fn an_end_short_of_the_plan_is_no_success() {
         use ExitStatus::{Abort, Stopped, Success};
         let end = |status, stored, skipped| requested_end(status, stored, skipped, 33_000);
-        assert_eq!(end(Stopped, 899, 11), (Stopped, "stopped at 899 of 33000 trials".into()));
+        assert_eq!(end(Stopped, 899, 11), (Stopped, "stopped at 899 of 33,000 trials".into()));
         assert_eq!(end(Stopped, 32_989, 11).0, Success);
-        assert_eq!(end(Abort, 0, 0), (Abort, "aborted at 0 of 33000 trials".into()));
+        assert_eq!(end(Abort, 0, 0), (Abort, "aborted at 0 of 33,000 trials".into()));
     }
 }
