@@ -58,7 +58,7 @@ async fn a_record_whose_commit_failed_but_was_stored_is_not_stored_again() {
             assert_eq!(store.event(of, "rig", data.clone(), at).await.is_ok(), is_repeated);
         }
     }
-    assert_eq!(store.attempts(run, 9).await.unwrap(), [attempt.clone()]);
+    assert_eq!(store.attempts(run, 9).await.unwrap(), std::slice::from_ref(&attempt));
     assert_eq!(store.progress(run).await.unwrap().retries, 1);
     assert_eq!(store.tares(run).await.unwrap(), [tare]);
     assert_eq!(store.untouched_frames(run, 9).await.unwrap(), [skin]);
