@@ -15,7 +15,7 @@ use super::error::{CliError, CliResult};
 use super::find::find_run;
 use super::key::key;
 use super::next::Next;
-use super::output::{Output, counted, duration, grouped, note, say, say_json, say_whole};
+use super::output::{counted, duration, grouped, note, say, say_json};
 use super::view::{NeedView, StatusView};
 use super::{At, embed, workers};
 use crate::campaign::bench::stopping::StoppingDistance;
@@ -96,10 +96,7 @@ pub async fn ready(at: &At) -> CliResult<()> {
 /// `CliError` if the service cannot be reached.
 pub async fn metrics(at: &At) -> CliResult<()> {
     let text = embed::server(at).await?.text("/metrics").await?;
-    match at.output() {
-        Output::Json => say_json(&json!({ "metrics": text })),
-        Output::Text => say_whole(text.trim_end()),
-    }
+    at.output().say_whole(&json!({ "metrics": text }), text.trim_end());
     Ok(())
 }
 

@@ -16,7 +16,7 @@ use super::files::read_as;
 use super::import::{ImportArgs, import};
 use super::making;
 use super::next::Next;
-use super::output::{Output, bytes, grouped, say_json, say_whole};
+use super::output::{bytes, grouped};
 use super::table::{Table, or_dash};
 use super::times::local;
 use super::view::rows;
@@ -207,17 +207,11 @@ async fn card(client: &Client, args: &CardArgs) -> CliResult<()> {
     let path = format!("/api/v1/datasets/{}", args.name);
     if args.datapackage {
         let package: Value = client.get(&format!("{path}/datapackage.json")).await?;
-        match args.at.output() {
-            Output::Json => say_json(&package),
-            Output::Text => say_whole(format_args!("{package:#}")),
-        }
+        args.at.output().say_whole(&package, format_args!("{package:#}"));
         return Ok(());
     }
     let card = client.text(&format!("{path}/card")).await?;
-    match args.at.output() {
-        Output::Json => say_json(&json!({ "card": card })),
-        Output::Text => say_whole(card.trim_end()),
-    }
+    args.at.output().say_whole(&json!({ "card": card }), card.trim_end());
     Ok(())
 }
 

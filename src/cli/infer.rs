@@ -14,7 +14,7 @@ use super::client::Client;
 use super::error::{CliError, CliResult};
 use super::files::read_input;
 use super::next::Next;
-use super::output::{Output, note, say};
+use super::output::{Output, note, say, say_whole};
 use super::progress::Counted;
 use super::{At, embed, recording};
 use crate::api::{
@@ -316,7 +316,8 @@ pub async fn live(args: LiveArgs) -> CliResult<()> {
         .messages(&path, |text| {
             match shown(text, args.quantities).filter(|_| !args.at.json) {
                 Some(words) => say(words),
-                None => say(text),
+                // JSON: one line for each message.
+                None => say_whole(text),
             }
             seen += 1;
             args.frames.is_none_or(|frames| seen < frames)

@@ -11,7 +11,7 @@ use serde_json::Value;
 use super::client::Client;
 use super::error::{CliError, CliResult};
 use super::next::Next;
-use super::output::{Output, duration, grouped, note, say, say_json};
+use super::output::{Output, duration, grouped, note, say, say_json, say_whole};
 use super::picture::figure_file;
 use super::progress::{LogLines, bar};
 use super::table::Table;
@@ -191,7 +191,7 @@ pub async fn job(args: JobArgs) -> CliResult<()> {
                     }
                     None => match job_losses::losses(client, &id).await?.trim_end() {
                         "" => note("there are no losses yet: the first ones come with an epoch"),
-                        losses => say(losses),
+                        losses => say_whole(losses),
                     },
                 }
             }

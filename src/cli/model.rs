@@ -134,7 +134,8 @@ async fn answer(client: &Client, what: What, at: &At) -> CliResult<()> {
         What::Show { model } => {
             let model: ModelOut = client.get(&format!("/api/v1/models/{model}")).await?;
             let manifest = toml::to_string_pretty(&model.manifest).unwrap_or_default();
-            at.output().say(&model, format_args!("{}\n{}", line(&model), manifest.trim_end()));
+            let words = format!("{}\n{}", line(&model), manifest.trim_end());
+            at.output().say_whole(&model, words);
         }
         What::Promote { what, why } => {
             let request = PromotionRequest { what, why, who: Some(client.who().into()) };

@@ -28,6 +28,14 @@ impl Output {
             Self::Text => say(words),
         }
     }
+
+    /// Prints a value for scripts, or a text whose lines stay whole, as [`say_whole`] does.
+    pub fn say_whole(self, value: &impl Serialize, text: impl Display) {
+        match self {
+            Self::Json => say_json(value),
+            Self::Text => say_whole(text),
+        }
+    }
 }
 
 /// Prints one or several lines on standard output; on a terminal wrapped to its width.
@@ -46,9 +54,10 @@ pub fn note(text: impl Display) {
 }
 
 /// Wraps the lines that are longer than a terminal is wide, at spaces: further lines begin below the text that follows
-/// the name of the line. Elsewhere lines stay whole.
+/// the name of the line. Elsewhere lines stay whole, and rows of Markdown tables everywhere: they are copied, and wrapped
+/// they would have no columns.
 pub fn fitted(text: &str, width: Option<usize>) -> Cow<'_, str> {
-    let is_long = |line: &str, width: usize| line.chars().count() > width;
+    let is_long = |line: &str, width: usize| !line.starts_with('|') && line.chars().count() > width;
     let Some(width) = width.filter(|width| text.lines().any(|line| is_long(line, *width))) else {
         return text.into();
     };
@@ -66,13 +75,15 @@ pub fn fitted(text: &str, width: Option<usize>) -> Cow<'_, str> {
     lines.collect::<Vec<_>>().join("\n").into()
 }
 
-/// Where the text of a line begins, bytes: after its indentation, and after a name with two spaces or more behind it, at
-/// most `most` bytes from the start of the line.
+/// Where the text of a line begins, bytes: after its indentation, and after the names with two spaces or more behind
+/// them, at most `most` bytes from the start of the line.
 fn begin_of_text(line: &str, most: usize) -> usize {
-    let indentation = line.len() - line.trim_start_matches(' ').len();
-    let gap = line[indentation..].find("  ").map(|at| indentation + at);
-    let after = gap.map(|gap| line.len() - line[gap..].trim_start_matches(' ').len());
-    [after, Some(indentation)].into_iter().flatten().find(|at| *at <= most).unwrap_or(0)
+    let is_begin = |at: &usize| {
+        let (before, text) = line.split_at(*at);
+        !text.starts_with(' ') && (before.ends_with("  ") || before.trim_matches(' ').is_empty())
+    };
+    let places = line.char_indices().map(|(at, _)| at).take_while(|at| *at <= most);
+    places.filter(is_begin).last().unwrap_or(0)
 }
 
 /// Prints a text that is safe already, such as a drawn error with colours, on standard error.
@@ -205,6 +216,12 @@ mod tests {
         assert_eq!(fitted(text, Some(20)), wrapped);
         assert_eq!(fitted("a long name  of a line", Some(16)), "a long name of a\nline");
         assert_eq!(fitted("µµµµµµµµ µ", Some(4)), "µµµµµµµµ\nµ");
+        assert_eq!(fitted("µ  µ µ", Some(1)), "µ\nµ\nµ");
+        let event = "09:15  trip  limit of cell 3 was passed";
+        let wrapped = "09:15  trip  limit of cell\n             3 was passed";
+        assert_eq!(fitted(event, Some(26)), wrapped, "below the last column");
+        let table = "| net | force, % |\n| a   |       12 |";
+        assert_eq!(fitted(table, Some(10)), table);
     }
 
     #[test]
