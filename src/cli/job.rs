@@ -11,9 +11,9 @@ use serde_json::Value;
 use super::client::Client;
 use super::error::{CliError, CliResult};
 use super::next::Next;
-use super::output::{Output, duration, grouped, note, say, say_json, say_whole};
+use super::output::{Output, grouped, note, say, say_json, say_whole};
 use super::picture::figure_file;
-use super::progress::{LogLines, bar};
+use super::progress::{LogLines, bar, to_go};
 use super::table::Table;
 use super::times::local;
 use super::{At, embed, job_losses};
@@ -111,7 +111,7 @@ fn words(progress: &Progress) -> String {
         words += &format!(", {rate:.0}/s");
     }
     if let Some(left_s) = progress.left_s {
-        words += &format!(", {} to go", duration(left_s));
+        words += &format!(", {}", to_go(left_s));
     }
     words
 }
@@ -272,6 +272,15 @@ pub fn shown(job: &JobOut, output: Output) {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_phase_that_ends_has_no_time_of_zero_to_go() {
+        let shown =
+            |left_s| words(&Progress { left_s, phase: "training".into(), ..Progress::default() });
+        assert_eq!(shown(Some(0.0)), "training, nearly done");
+        assert_eq!(shown(Some(75.0)), "training, 1 min 15 s to go");
+        assert_eq!(shown(None), "training");
+    }
 
     #[test]
     fn a_job_is_named_by_its_number_last_or_the_start_of_its_id() {

@@ -87,8 +87,15 @@ fn left_words(done: u64, total: u64, eta: Duration) -> String {
         // No unit shows how long the end of the work takes, for example closing a file.
         _ if total > 0 && done >= total => ", finishing".into(),
         _ if eta.is_zero() => String::new(),
-        ..1.0 => ", nearly done".into(),
-        eta_s => format!(", {} to go", duration(eta_s)),
+        eta_s => format!(", {}", to_go(eta_s)),
+    }
+}
+
+/// The time to go of work that has not ended: never zero, which would remain while its end takes longer.
+pub fn to_go(left_s: f64) -> String {
+    match left_s {
+        ..1.0 => "nearly done".into(),
+        _ => format!("{} to go", duration(left_s)),
     }
 }
 

@@ -16,7 +16,7 @@ use crate::cli::At;
 use crate::cli::error::CliResult;
 use crate::cli::next::Next;
 use crate::cli::output::{self, bytes, counted, duration, grouped, say, say_json};
-use crate::cli::progress::{LogLines, progress_bar};
+use crate::cli::progress::{LogLines, progress_bar, to_go};
 use crate::cli::signals::Signals;
 use crate::cli::simulate::request::{RandomRequest, SolvedRequest, threads};
 use crate::new_file::Look;
@@ -144,9 +144,9 @@ impl Screen {
                 self.bar.inc(trials);
                 let (done, trials, rate) = (self.found + self.made, self.trials, self.rate());
                 self.lines.say(|| {
-                    let left = duration((trials - done) as f64 / rate);
+                    let left = to_go((trials - done) as f64 / rate);
                     let counts = format!("{}/{}", grouped(done), grouped(trials));
-                    format!("{counts} {rate:.0} trials/s | done in {left}")
+                    format!("{counts} {rate:.0} trials/s | {left}")
                 });
             }
             Progress::Shard(row) => {
