@@ -16,8 +16,8 @@ use super::files::read_as;
 use super::import::{ImportArgs, import};
 use super::making;
 use super::next::Next;
-use super::output::{bytes, grouped};
-use super::table::{Table, or_dash};
+use super::output::bytes;
+use super::table::{Table, count_or_dash, or_dash};
 use super::times::local;
 use super::view::rows;
 use super::{At, embed};
@@ -141,7 +141,7 @@ async fn list(client: &Client, at: &At) -> CliResult<()> {
         table.push([
             text_of(&row["id"]),
             text_of(&row["name"]),
-            grouped(row["rows"].as_u64().unwrap_or_default()),
+            count_or_dash(&row["rows"]),
             bytes(row["bytes"].as_f64().unwrap_or_default()),
             or_dash(time("created_at")),
             or_dash(time("last_used_at")),
@@ -236,8 +236,7 @@ async fn make(client: &Client, args: &MakeArgs) -> CliResult<()> {
 /// A dataset, as text.
 fn described(row: &Value, url: &str) -> String {
     let (name, id) = (text_of(&row["name"]), text_of(&row["id"]));
-    let number = |value: &Value| grouped(value.as_u64().unwrap_or_default());
-    let rows = number(&row["rows"]);
+    let rows = count_or_dash(&row["rows"]);
     let length = bytes(row["bytes"].as_f64().unwrap_or_default());
     let mut words = format!("{name} {id}: {rows} rows, {length}");
     if row["is_current"] == false {
@@ -246,7 +245,7 @@ fn described(row: &Value, url: &str) -> String {
     let counts = [("part", "parts"), ("contacts", "contact_counts"), ("excluded", "left_out")];
     for (heading, key) in counts {
         for (what, rows) in row["report"][key].as_object().into_iter().flatten() {
-            let rows = number(rows);
+            let rows = count_or_dash(rows);
             words += &format!("\n  {heading:<9} {what:<44} {rows:>9}");
         }
     }

@@ -1,10 +1,12 @@
 //! A table as text: a line of heads, columns as wide as their longest cell, and a sentence instead of an
 //! empty table.
-//! Uses: `output` (the width of the terminal). Never: HTTP, a number that is not in a cell.
+//! Uses: `output`. Never: HTTP, a number that is not in a cell.
 
 use std::fmt;
 
-use super::output::{terminal_width, wrapped};
+use serde_json::Value;
+
+use super::output::{grouped, terminal_width, wrapped};
 
 /// Gap between two columns.
 const GAP: &str = "  ";
@@ -115,6 +117,11 @@ pub fn or_dash(value: Option<impl fmt::Display>) -> String {
     value.map_or_else(|| "-".into(), |value| value.to_string())
 }
 
+/// A cell for a count of an answer: `-` if it is absent.
+pub fn count_or_dash(count: &Value) -> String {
+    or_dash(count.as_u64().map(grouped))
+}
+
 fn length(cell: &str) -> usize {
     cell.chars().count()
 }
@@ -152,6 +159,12 @@ mod tests {
         let lines = ["run   name        label", "   1  quickstart", "1234  a b         virtual"];
         assert_eq!(table.to_string().lines().collect::<Vec<_>>()[1..], lines[1..]);
         assert_eq!(table.to_string().lines().next(), Some(" run  name        label"));
+    }
+
+    #[test]
+    fn a_count_that_is_absent_is_not_zero() {
+        let of = |count: Value| count_or_dash(&count);
+        assert_eq!([of(33_000.into()), of(0.into()), of(Value::Null)], ["33,000", "0", "-"]);
     }
 
     #[test]

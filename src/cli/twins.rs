@@ -8,9 +8,9 @@ use tokio::time::Instant;
 
 use super::client::{Client, text_of};
 use super::error::{CliError, CliResult};
-use super::output::{counted, grouped, say, say_json};
+use super::output::{counted, say, say_json};
 use super::progress::Counted;
-use super::table::Table;
+use super::table::{Table, count_or_dash};
 use super::view::rows;
 use super::{At, embed};
 use crate::ids::RunUid;
@@ -33,11 +33,10 @@ pub async fn status(at: &At) -> CliResult<()> {
     let pool = &twins["pool"];
     let threads = counted(pool["workers"].as_u64().unwrap_or_default(), "thread", "threads");
     let rate = pool["per_s"].as_f64().map(|per_s| format!(", {per_s:.1} per second"));
-    let number = |value: &Value| grouped(value.as_u64().unwrap_or_default());
-    let made = number(&pool["made"]);
+    let made = count_or_dash(&pool["made"]);
     say(format_args!("{threads}, {made} made since the start{}", rate.unwrap_or_default()));
     if let Some(fvu) = pool["rolling"]["median_fvu"].as_f64() {
-        let trials = number(&pool["rolling"]["trials"]);
+        let trials = count_or_dash(&pool["rolling"]["trials"]);
         say(format_args!("median FVU {fvu:.3} of the last {trials} trials with a force"));
     }
     if let Some(why) = pool["last_error"].as_str() {
@@ -48,7 +47,7 @@ pub async fn status(at: &At) -> CliResult<()> {
         Table::new("run> | trials> | twins> | failures> | pending>", "no run has trials");
     for run in rows(&twins, "runs") {
         let scan_id = client.run(text_of(&run["run"])).await?.scan_id.to_string();
-        table.push([scan_id].into_iter().chain(numbers.map(|key| number(&run[key]))));
+        table.push([scan_id].into_iter().chain(numbers.map(|key| count_or_dash(&run[key]))));
     }
     say(&table);
     Ok(())

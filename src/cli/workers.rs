@@ -8,8 +8,9 @@ use tokio::time::timeout;
 
 use super::client::{Client, text_of};
 use super::error::CliResult;
-use super::output::{bytes, counted, duration};
-use super::table::{Table, or_dash};
+use super::output::{bytes, counted, duration, grouped};
+use super::progress::to_go;
+use super::table::{Table, count_or_dash, or_dash};
 use super::view::rows;
 use super::{At, embed};
 
@@ -56,7 +57,7 @@ fn state(found: &Value) -> String {
         let id: String = text_of(&order["order"]).chars().take(ID_SHOWN).collect();
         let rate = or_dash(order["per_minute"].as_f64().map(|rate| format!("{rate:.1}")));
         let to_go = or_dash(order["to_go_s"].as_f64().map(duration));
-        let counts = numbers.map(|number| order[number].to_string());
+        let counts = numbers.map(|number| count_or_dash(&order[number]));
         let named = [id, text_of(&order["folder"])];
         orders.push(named.into_iter().chain(counts).chain([rate, to_go]));
     }
@@ -109,17 +110,18 @@ fn words(found: &Value) -> Option<String> {
     if open.is_empty() {
         return Some(words + "; nothing to do");
     }
-    words += &format!("; {} of {} chunks done", sum("done"), sum("chunks"));
+    let count = |key: &str| grouped(sum(key) as u64);
+    words += &format!("; {} of {} chunks done", count("done"), count("chunks"));
     if sum("per_minute") > 0.0 {
         words += &format!(", {:.1} per minute", sum("per_minute"));
     }
-    if let Some(to_go) = open.iter().filter_map(|order| order["to_go_s"].as_f64()).reduce(f64::max)
+    if let Some(left_s) = open.iter().filter_map(|order| order["to_go_s"].as_f64()).reduce(f64::max)
     {
-        words += &format!(", {} to go", duration(to_go));
+        words += &format!(", {}", to_go(left_s));
     }
     for (key, what) in [("again", "could not be made by a machine"), ("failed", "failed")] {
         if sum(key) > 0.0 {
-            words += &format!("; {} {what}", sum(key));
+            words += &format!("; {} {what}", count(key));
         }
     }
     Some(words)
@@ -139,12 +141,12 @@ mod tests {
         assert_eq!(words(&found).unwrap(), "1 worker (1 lost); nothing to do");
         found["orders"] = json!([
             { "chunks": 9, "done": 9, "again": 0, "failed": 0, "per_minute": 2.0, "to_go_s": 0 },
-            { "chunks": 200, "done": 120, "again": 1, "failed": 2, "per_minute": 12.34, "to_go_s": 375 },
+            { "chunks": 20_000, "done": 12_000, "again": 1, "failed": 2, "per_minute": 12.34, "to_go_s": 375 },
             { "chunks": 10, "done": 0, "again": 0, "failed": 0, "per_minute": null, "to_go_s": null },
         ]);
         assert_eq!(
             words(&found).unwrap(),
-            "1 worker (1 lost); 120 of 210 chunks done, 12.3 per minute, 6 min 15 s to go; \
+            "1 worker (1 lost); 12,000 of 20,010 chunks done, 12.3 per minute, 6 min 15 s to go; \
              1 could not be made by a machine; 2 failed"
         );
     }
