@@ -5,7 +5,7 @@
 use std::fmt::Display;
 
 use super::At;
-use super::output::{error_width, note_drawn, shown};
+use super::output::{columns, error_width, note_drawn, shown};
 
 /// Commands to type next, each with what it does.
 #[derive(Debug, Clone, Default)]
@@ -56,15 +56,15 @@ impl Next {
         }
     }
 
-    /// The commands, each with what it does next to it, or below it if a terminal has fewer `columns` than that needs.
+    /// The commands, each with what it does next to it, or below it if that needs more columns than the `terminal` has.
     /// A command is not wrapped: it is copied.
-    fn text(&self, columns: Option<usize>) -> String {
-        let length = |text: &str| text.chars().count();
-        let width = self.lines.iter().map(|[command, _]| length(command)).max().unwrap_or(0);
-        let widest = self.lines.iter().map(|[_, what]| 2 + width + 3 + length(what)).max();
-        let fits = columns.is_none_or(|columns| widest.is_none_or(|widest| widest <= columns));
+    fn text(&self, terminal: Option<usize>) -> String {
+        let widest =
+            |part: usize| self.lines.iter().map(|line| columns(&line[part])).max().unwrap_or(0);
+        let width = widest(0) + 3;
+        let fits = terminal.is_none_or(|terminal| 2 + width + widest(1) <= terminal);
         let lines = self.lines.iter().map(|[command, what]| match fits {
-            true => format!("\n  {command:<width$}   {what}"),
+            true => format!("\n  {command}{:1$}{what}", "", width - columns(command)),
             false => format!("\n  {command}\n      {what}"),
         });
         format!("\nnext:{}", lines.collect::<String>())

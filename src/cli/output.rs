@@ -1,11 +1,12 @@
 //! Output lines for people and for scripts, and numbers with units. All text for people passes through
 //! here: names and notes that other people entered must not control the terminal.
-//! Uses: `plain`. Never: HTTP, decisions. A closed standard output is not an error.
+//! Uses: `plain`, ratatui (widths). Never: HTTP, decisions. A closed standard output is not an error.
 
 use std::borrow::Cow;
 use std::fmt::Display;
 use std::io::{self, IsTerminal, Write};
 
+use ratatui::text::Span;
 use serde::Serialize;
 
 use crate::plain::escaped_lines;
@@ -57,13 +58,13 @@ pub fn note(text: impl Display) {
 /// the name of the line. Elsewhere lines stay whole, and rows of Markdown tables everywhere: they are copied, and wrapped
 /// they would have no columns.
 pub fn fitted(text: &str, width: Option<usize>) -> Cow<'_, str> {
-    let is_long = |line: &str, width: usize| !line.starts_with('|') && line.chars().count() > width;
+    let is_long = |line: &str, width: usize| !line.starts_with('|') && columns(line) > width;
     let Some(width) = width.filter(|width| text.lines().any(|line| is_long(line, *width))) else {
         return text.into();
     };
     let lines = text.split('\n').map(|line| {
         let (name, rest) = line.split_at(begin_of_text(line, width / 2));
-        let indent = name.chars().count();
+        let indent = columns(name);
         match is_long(line, width) {
             true => {
                 let rest = wrapped(rest, width - indent);
@@ -108,7 +109,7 @@ pub fn wrapped(text: &str, width: usize) -> String {
     let lines = text.lines().map(|line| {
         let (mut wrapped, mut column) = (String::new(), 0);
         for word in words(line) {
-            let length = word.chars().count();
+            let length = columns(&word);
             if column > 0 && column + 1 + length > width {
                 wrapped.push('\n');
                 column = 0;
@@ -145,12 +146,17 @@ fn words(line: &str) -> Vec<String> {
     words
 }
 
-/// Width of the terminal behind standard output, characters; `None` if it is not a terminal.
+/// Columns of a text on a terminal: a wide character, such as one of Chinese, has two.
+pub fn columns(text: &str) -> usize {
+    Span::raw(text).width()
+}
+
+/// Width of the terminal behind standard output, columns; `None` if it is not a terminal.
 pub fn terminal_width() -> Option<usize> {
     width_behind(&io::stdout())
 }
 
-/// Width of the terminal behind standard error, characters; `None` if it is not a terminal.
+/// Width of the terminal behind standard error, columns; `None` if it is not a terminal.
 pub fn error_width() -> Option<usize> {
     width_behind(&io::stderr())
 }
@@ -217,6 +223,7 @@ mod tests {
         assert_eq!(fitted("a long name  of a line", Some(16)), "a long name of a\nline");
         assert_eq!(fitted("µµµµµµµµ µ", Some(4)), "µµµµµµµµ\nµ");
         assert_eq!(fitted("µ  µ µ", Some(1)), "µ\nµ\nµ");
+        assert_eq!(fitted("触覚触覚 触覚", Some(12)), "触覚触覚\n触覚", "two columns each");
         let event = "09:15  trip  limit of cell 3 was passed";
         let wrapped = "09:15  trip  limit of cell\n             3 was passed";
         assert_eq!(fitted(event, Some(26)), wrapped, "below the last column");

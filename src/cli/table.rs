@@ -6,7 +6,7 @@ use std::fmt;
 
 use serde_json::Value;
 
-use super::output::{grouped, terminal_width, wrapped};
+use super::output::{columns, grouped, terminal_width, wrapped};
 
 /// Gap between two columns.
 const GAP: &str = "  ";
@@ -57,42 +57,41 @@ impl Table {
 
     fn widths(&self) -> Vec<usize> {
         let of_column = |(column, (head, _)): (usize, &(String, Align))| {
-            let cells = self.rows.iter().map(|row| length(&row[column]));
-            cells.chain([length(head)]).max().unwrap_or(0)
+            let cells = self.rows.iter().map(|row| columns(&row[column]));
+            cells.chain([columns(head)]).max().unwrap_or(0)
         };
         self.heads.iter().enumerate().map(of_column).collect()
     }
 
     fn line<'a>(&self, cells: impl Iterator<Item = &'a str>, widths: &[usize]) -> String {
-        let mut line = String::new();
+        let (mut line, mut last) = (String::new(), 0);
         for ((cell, width), (_, align)) in cells.zip(widths).zip(&self.heads) {
             if !line.is_empty() {
                 line += GAP;
             }
-            let padding = " ".repeat(width.saturating_sub(length(cell)));
+            last = line.len();
+            let padding = " ".repeat(width.saturating_sub(columns(cell)));
             match align {
                 Align::Left => line.extend([cell, &padding]),
                 Align::Right => line.extend([&*padding, cell]),
             }
         }
         let line = line.trim_end();
-        match self.width.filter(|width| length(line) > *width) {
-            Some(width) => self.fitted(line, widths, width),
+        match self.width.filter(|width| columns(line) > *width) {
+            Some(width) => self.fitted(line, last.min(line.len()), width),
             None => line.to_owned(),
         }
     }
 
     /// A line that is longer than a terminal is wide: a text in the last column continues below itself, if it begins in
-    /// the left half; otherwise the line is cut.
-    fn fitted(&self, line: &str, widths: &[usize], width: usize) -> String {
-        let others = widths.iter().take(widths.len().saturating_sub(1));
-        let column = others.map(|width| width + GAP.len()).sum::<usize>();
+    /// the left half; otherwise the line is cut. `last`: where that column begins, bytes.
+    fn fitted(&self, line: &str, last: usize, width: usize) -> String {
+        let (before, text) = line.split_at(last);
+        let column = columns(before);
         let is_text = self.heads.last().is_some_and(|(_, align)| *align == Align::Left);
         if !is_text || column > width / 2 {
             return cut(line, width);
         }
-        let at = line.char_indices().nth(column).map_or(line.len(), |(at, _)| at);
-        let (before, text) = line.split_at(at);
         let text = wrapped(text, width - column);
         format!("{before}{}", text.replace('\n', &format!("\n{:column$}", "")))
     }
@@ -122,10 +121,6 @@ pub fn count_or_dash(count: &Value) -> String {
     or_dash(count.as_u64().map(grouped))
 }
 
-fn length(cell: &str) -> usize {
-    cell.chars().count()
-}
-
 fn one_line(cell: &str) -> String {
     if cell.contains(['\n', '\r', '\t']) {
         return cell.split_whitespace().collect::<Vec<_>>().join(" ");
@@ -138,7 +133,12 @@ fn cut(line: &str, width: usize) -> String {
     if width < LAST_COLUMN_MIN {
         return line.to_owned();
     }
-    let kept: String = line.chars().take(width - 1).collect();
+    let mut used = 0;
+    let beyond = line.char_indices().find(|(_, c)| {
+        used += columns(c.encode_utf8(&mut [0; 4]));
+        used >= width
+    });
+    let kept = &line[..beyond.map_or(line.len(), |(at, _)| at)];
     format!("{}…", kept.trim_end())
 }
 
@@ -174,6 +174,19 @@ mod tests {
         assert_eq!(narrow.to_string().lines().last(), Some("  1  quickstart…"));
         narrow.width = None;
         assert_eq!(narrow.to_string().lines().last(), Some("  1  quickstart  virtual"));
+    }
+
+    #[test]
+    fn a_wide_character_has_two_columns() {
+        let mut named = table(None);
+        named.push(["1".into(), "触覚".into(), "virtual".into()]);
+        named.push(["2".into(), "skin".into(), "virtual".into()]);
+        let lines = ["run  name  label", "  1  触覚  virtual", "  2  skin  virtual"];
+        assert_eq!(named.to_string().lines().collect::<Vec<_>>(), lines);
+        named.width = Some(12);
+        assert_eq!(named.to_string().lines().nth(1), Some("  1  触覚…"));
+        named.width = Some(14);
+        assert_eq!(named.to_string().lines().nth(1), Some("  1  触覚  vi…"));
     }
 
     #[test]

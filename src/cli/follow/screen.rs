@@ -9,7 +9,7 @@ use serde_json::json;
 use tokio::time::Instant;
 
 use crate::campaign::shown::status::{Eta, RunStatus};
-use crate::cli::output::{counted, duration, error_width, grouped, note, say_json, shown};
+use crate::cli::output::{columns, counted, duration, error_width, grouped, note, say_json, shown};
 use crate::cli::progress::{PROGRESS_LINES, bar};
 use crate::cli::view::StatusView;
 use crate::state::StoredState;
@@ -104,7 +104,7 @@ fn wait_words(run: &RunStatus, url: &str) -> Option<String> {
 /// The words, or those of the short `parts` that a terminal has room for, the first ones: a cut number could be read as
 /// another one.
 fn fitting(room: Option<usize>, words: String, parts: impl FnOnce() -> Vec<String>) -> String {
-    let has_room = |words: &str| room.is_none_or(|room| words.chars().count() <= room);
+    let has_room = |words: &str| room.is_none_or(|room| columns(words) <= room);
     if has_room(&words) {
         return words;
     }

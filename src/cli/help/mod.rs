@@ -1,5 +1,6 @@
 //! The help of all commands: groups, examples, exit codes, and lines that fit a terminal.
-//! Uses: clap, `examples.txt`, `output` (the width of the terminal). Never: what a command does; the options (their doc comments state them).
+//! Uses: clap, `examples.txt`, `output` (the width of the terminal). Never: what a command does; the options (their doc
+//! comments state them).
 
 use clap::{Arg, Command};
 
