@@ -5,7 +5,7 @@ use jiff::Timestamp;
 use serde::Deserialize;
 use serde_json::Value;
 
-use super::output::{bytes, counted, duration};
+use super::output::{bytes, counted, duration, grouped};
 use super::times::local;
 use crate::api::{DiskStatus, Suspender};
 
@@ -81,9 +81,10 @@ pub fn wear_words(wear: &Value) -> String {
     lines.push(match busiest {
         None => "skin     never pressed".into(),
         Some((most, (x, y))) => format!(
-            "skin     {:.0} presses on {} places, most at x {x:.1}, y {y:.1} mm: {most:.0}",
-            presses.iter().sum::<f64>(),
-            presses.len()
+            "skin     {} on {}, most at x {x:.1}, y {y:.1} mm: {}",
+            counted(presses.iter().sum::<f64>() as u64, "press", "presses"),
+            counted(presses.len() as u64, "place", "places"),
+            grouped(*most as u64)
         ),
     });
     let axes = wear["axes"].as_array().into_iter().flatten().map(|axis| {
@@ -137,14 +138,17 @@ mod tests {
     fn the_wear_names_the_busiest_place() {
         let wear = json!({
             "since": null, "trials": 22, "runs": 1, "run_h": 3.3, "checked_at": null,
-            "points": { "x_mm": [17.32, 34.64], "y_mm": [55.0, 55.0], "presses": [1, 3] },
+            "points": { "x_mm": [17.32, 34.64], "y_mm": [55.0, 55.0], "presses": [1, 3000] },
             "axes": [{ "axis": "x", "travel_m": 12.34 }, { "axis": "z", "travel_m": 0.5 }],
             "cells": [{ "arm": 1, "calibrated_on": null, "age_days": null },
                 { "arm": 2, "calibrated_on": "2026-05-04", "age_days": 30 }],
         });
         let words = wear_words(&wear);
         assert!(words.contains("22 trials in 1 run of 3.3 h, since -"), "{words}");
-        assert!(words.contains("4 presses on 2 places, most at x 34.6, y 55.0 mm: 3"), "{words}");
+        assert!(
+            words.contains("3,001 presses on 2 places, most at x 34.6, y 55.0 mm: 3,000"),
+            "{words}"
+        );
         assert!(words.contains("at least x 12.3 m, z 0.5 m"), "{words}");
         assert!(words.contains("1 unknown, 2 30 d ago"), "{words}");
         let at: Timestamp = "2026-05-04T22:00:07.299Z".parse().unwrap();

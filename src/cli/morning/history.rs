@@ -9,7 +9,7 @@ use crate::api::{History, StateSpan};
 use crate::cli::client::Client;
 use crate::cli::error::CliResult;
 use crate::cli::find::find_run;
-use crate::cli::output::{Output, duration, say, say_json};
+use crate::cli::output::{Output, duration, grouped, say, say_json};
 use crate::cli::table::{Table, or_dash};
 use crate::cli::times::second;
 
@@ -61,8 +61,8 @@ fn intervals(history: &History, from: Timestamp, bin_s: f64) -> Table {
         };
         table.push([
             or_dash(begin.map(second)),
-            trials.to_string(),
-            or_dash(history.attempts_failed.get(n)),
+            grouped((*trials).into()),
+            or_dash(history.attempts_failed.get(n).map(|failed| grouped((*failed).into()))),
             number(&history.largest_force_n, 1),
             number(&history.fvu, 3),
         ]);
@@ -90,7 +90,7 @@ mod tests {
     #[test]
     fn an_interval_without_a_measured_value_has_a_dash() {
         let history = History {
-            trials: vec![4, 0],
+            trials: vec![4321, 0],
             attempts_failed: vec![0, 2],
             largest_force_n: vec![Some(9.54), None],
             fvu: vec![None, None],
@@ -100,7 +100,7 @@ mod tests {
         let table = intervals(&history, from, 60.0).to_string();
         let ends: Vec<Vec<&str>> =
             table.lines().skip(1).map(|line| line.split_whitespace().skip(2).collect()).collect();
-        assert_eq!(ends, [["4", "0", "9.5", "-"], ["0", "2", "-", "-"]]);
+        assert_eq!(ends, [["4,321", "0", "9.5", "-"], ["0", "2", "-", "-"]]);
         let lasts = StateSpan { state: StoredState::Running, why: None, from, to: None };
         assert!(states(&[lasts]).to_string().ends_with('-'));
     }
