@@ -31,6 +31,13 @@ pub async fn answered(request: reqwest::RequestBuilder) -> (u16, Value) {
     (status, answer.json().await.unwrap_or(Value::Null))
 }
 
+/// An answer that must be a refusal with this status and these words.
+pub fn is_refused((status, problem): (u16, Value), expected: u16, words: &str) {
+    let detail = problem["detail"].as_str().unwrap_or_default();
+    let is_so = status == expected && detail.contains(words);
+    assert!(is_so, "{expected} {words}: {status} {problem:#}");
+}
+
 /// A process that is killed, at the latest, at the end of its test.
 pub struct Process(pub Child);
 

@@ -14,7 +14,7 @@ use reqwest::Method;
 use serde_json::{Value, json};
 
 use crate::datasets::filled::{Filled, folder};
-use crate::support::{PALPATE, answered};
+use crate::support::{PALPATE, answered, is_refused};
 
 const QUEUE: &str = "/api/v1/queue";
 const SIMULATIONS: &str = "/api/v1/simulations";
@@ -215,10 +215,8 @@ async fn a_run_that_has_begun_is_neither_edited_nor_moved() {
     store.run_state(uid, StateChange::to(StoredState::Running), Timestamp::now()).await.unwrap();
     store.close().await;
     let lab = Filled::serve(data).await;
-    let (status, refused) = lab.put(&run["uid"], None, &submission(3)).await;
-    assert_eq!(status, 409, "{refused}");
-    let words = refused["detail"].as_str().unwrap();
-    assert!(words.contains("only a queued run can be edited"), "{words}");
+    let refused = lab.put(&run["uid"], None, &submission(3)).await;
+    is_refused(refused, 409, "only a queued run can be edited");
     let path = format!("{QUEUE}/{}/move", run["uid"].as_str().unwrap());
     let refused = lab.posted(&path, json!({ "position": 1 }), 409).await;
     let words = refused["detail"].as_str().unwrap();

@@ -12,7 +12,7 @@ use sim_core::sensor::Sensor;
 use tempfile::TempDir;
 
 pub use crate::common::{
-    Process, SENSOR, answered, http, serve_options, skin_cache, until, with_responses,
+    Process, SENSOR, answered, http, is_refused, serve_options, skin_cache, until, with_responses,
 };
 
 pub const PALPATE: &str = env!("CARGO_BIN_EXE_palpate");

@@ -12,7 +12,9 @@ use virtual_rig::run::{RigArgs, RigOptions, VirtualRig};
 use virtual_rig::{OperatorArgs, operator_main};
 
 use crate::common::serve_options;
-pub use crate::common::{Process, SENSOR, answered, http, skin_cache, until, with_responses};
+pub use crate::common::{
+    Process, SENSOR, answered, http, is_refused, skin_cache, until, with_responses,
+};
 
 /// Longest wait for anything that a test waits for.
 pub const LIMIT: Duration = Duration::from_secs(120);

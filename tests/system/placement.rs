@@ -11,7 +11,7 @@ use sim_core::calibration::{Calibration, Fitted, PiezoCalibration};
 use sim_core::sensor::Sensor;
 use virtual_rig::run::RigArgs;
 
-use super::bench::{Lab, SENSOR, WAITS, answered, file, http, rig_args};
+use super::bench::{Lab, SENSOR, WAITS, answered, file, http, is_refused, rig_args};
 
 /// Process seconds in a wall second.
 const SPEED: f64 = 10.0;
@@ -323,9 +323,7 @@ async fn a_skin_alone_presses_nothing_and_is_checked() {
         configurations = 1\n";
     let body =
         json!({ "file": "hex.toml", "definition": definition, "sensor": SENSOR, "who": WHO });
-    let (status, problem) = lab.post("/api/v1/queue", body).await;
-    assert_eq!(status, 422, "{problem:#}");
-    assert!(problem["detail"].as_str().unwrap().contains("needs a stage"), "{problem:#}");
+    is_refused(lab.post("/api/v1/queue", body).await, 422, "needs a stage");
     lab.close().await;
 }
 
@@ -350,11 +348,7 @@ async fn under_a_stage_nothing_moves_during_a_manual_run_nor_after_it_before_tip
         // They would let the next run press at once.
         json!({ "action": "tips", "tips": 1 }),
     ] {
-        let (status, problem) = lab.post("/api/v1/rig/actions", action).await;
-        assert!(
-            status == 409 && problem["detail"].as_str().unwrap().contains("hands"),
-            "{problem}"
-        );
+        is_refused(lab.post("/api/v1/rig/actions", action).await, 409, "hands");
     }
 
     // A stop during the measurement: the placement is asked for again.

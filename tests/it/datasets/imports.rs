@@ -19,7 +19,7 @@ use palpate::dataset::space::KEPT_FREE_BYTES;
 use palpate::store::{Label, TrialQuery};
 
 use super::filled::{Filled, folder, store};
-use crate::support::answered;
+use crate::support::{answered, is_refused};
 
 pub const PAD: &str = "name = \"pad\"\nchannels = 4\nwidth_mm = 100\nheight_mm = 80\n";
 
@@ -95,9 +95,8 @@ async fn another_skins_trials_are_a_run_like_any_other() {
     );
     let run = made["run"]["scan_id"].as_i64().unwrap();
     // The same upload again, after a lost answer, doubles nothing.
-    let (status, again) = import(&lab, parquet(good()), PAD).await;
-    let words = again["detail"].as_str().unwrap();
-    assert!(status == 409 && words.contains(&format!("imported as run {run}")), "{again}");
+    let again = import(&lab, parquet(good()), PAD).await;
+    is_refused(again, 409, &format!("imported as run {run}"));
     let page = lab.get(&format!("/api/v1/runs/{run}/trials?voltages=true")).await;
     let trials = page["items"].as_array().unwrap();
     assert_eq!(trials.len(), 3);
@@ -183,9 +182,7 @@ async fn raw_frames_are_stored_and_served_as_those_of_a_rig() {
     assert_eq!(served[1]["counts"][0], 32_767);
     lab.refuses_get(&path(2), 404, "no raw frames").await;
     // Without the mean the third trial has no frame.
-    let (status, body) = import(&lab, parquet(columns()), PAD).await;
-    let detail = body["detail"].as_str().unwrap_or_default();
-    assert!(status == 400 && detail.contains("row 2, voltages_v = null"), "{body}");
+    is_refused(import(&lab, parquet(columns()), PAD).await, 400, "row 2, voltages_v = null");
     lab.close().await;
 }
 
@@ -228,10 +225,7 @@ async fn what_cannot_be_used_is_named_and_nothing_is_stored() {
             "width_mm = 0",
         ),
     ] {
-        let (status, body) = import(&lab, file, sensor).await;
-        let detail = body["detail"].as_str().unwrap_or_default();
-        assert_eq!(status, 400, "{wanted}: {body}");
-        assert!(detail.contains(wanted), "{wanted}: {detail}");
+        is_refused(import(&lab, file, sensor).await, 400, wanted);
     }
     assert_eq!(lab.get("/api/v1/runs").await["items"].as_array().unwrap().len(), before);
     let uploads = std::fs::read_dir(lab.data.join("uploads")).unwrap().count();

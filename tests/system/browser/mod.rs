@@ -71,8 +71,7 @@ async fn plays(lab: &Lab, (python, chromium): &(String, String), scenario: &str)
 async fn running(name: &str) -> (Lab, String) {
     let lab = Lab::open(name, rig_args("virtual", SPEED), COMPUTES).await;
     lab.home().await;
-    let run = lab.queue(LONG).await;
-    lab.start(&run).await;
+    let run = lab.begin(LONG).await;
     lab.stored(1).await;
     (lab, run)
 }
@@ -82,13 +81,11 @@ async fn running(name: &str) -> (Lab, String) {
 async fn furnished(name: &str) -> Lab {
     let lab = Lab::open(name, rig_args("virtual", SPEED), COMPUTES).await;
     lab.home().await;
-    let run = lab.queue(SHORT).await;
-    lab.start(&run).await;
+    let run = lab.begin(SHORT).await;
     lab.ended(&run).await;
     lab.posted("/api/v1/datasets", json!({ "name": "run-1" })).await;
     super::live::small_net(&lab).await;
-    let run = lab.queue(LONG).await;
-    lab.start(&run).await;
+    lab.begin(LONG).await;
     lab.stored(1).await;
     lab.queue(SHORT).await;
     lab
@@ -186,8 +183,7 @@ async fn a_weight_on_a_wrong_point_is_named_before_it_is_stored_and_a_trial_is_r
     let lab = Lab::open_alone("browser-wrong", skin_alone(), COMPUTES).await;
     serve_exact(&lab).await;
     lab.operate(json!({ "action": "connect", "who": "test" })).await;
-    let run = lab.queue(WEIGHTS).await;
-    lab.start(&run).await;
+    let run = lab.begin(WEIGHTS).await;
     plays(&lab, tools, "wrong_weight").await;
     let summary = lab.get(&format!("/api/v1/runs/{run}/summary")).await;
     assert_eq!(summary["retries"], 1, "one trial was withdrawn: {summary:#}");
