@@ -67,8 +67,7 @@ impl Filled {
 #[tokio::test(flavor = "multi_thread")]
 async fn every_carried_experiment_can_be_queued_as_it_is() {
     let lab = Filled::serve(folder("desk-carried")).await;
-    let carried = lab.get("/api/v1/experiments").await;
-    let items = carried["items"].as_array().unwrap();
+    let items = lab.items("/api/v1/experiments").await;
     assert!(items.len() >= 11);
     let named = |name: &str| items.iter().find(|item| item["name"] == name).unwrap();
     let quickstart = named("quickstart");
@@ -111,11 +110,8 @@ async fn every_carried_experiment_can_be_queued_as_it_is() {
 #[tokio::test(flavor = "multi_thread")]
 async fn recipes_and_limits_of_the_rig_are_those_of_their_files() {
     let lab = Filled::serve(folder("desk-recipes")).await;
-    let recipes = lab.get("/api/v1/recipes").await;
-    let named = |name: &str| {
-        let mut items = recipes["items"].as_array().unwrap().iter();
-        items.find(|item| item["name"] == name).unwrap()
-    };
+    let recipes = lab.items("/api/v1/recipes").await;
+    let named = |name: &str| recipes.iter().find(|item| item["name"] == name).unwrap();
     assert_eq!(
         named("recon-net")["text"],
         include_str!("../../experiments/recipes/recon-net.toml")

@@ -318,6 +318,11 @@ impl Filled {
         serde_json::from_str(&text).unwrap()
     }
 
+    /// The items of a page.
+    pub async fn items(&self, path: &str) -> Vec<Value> {
+        self.get(path).await["items"].as_array().unwrap().clone()
+    }
+
     /// Wall time of the last use of the dataset or the export at this path.
     pub async fn used_at(&self, path: &str) -> Timestamp {
         self.get(path).await["last_used_at"].as_str().unwrap().parse().unwrap()

@@ -29,8 +29,7 @@ async fn written(script: &str, name: &str) -> Option<PathBuf> {
 
 /// Trials of a run without what differs between two imports of equal trials.
 async fn trials(lab: &Filled, run: i64) -> Vec<Value> {
-    let page = lab.get(&format!("/api/v1/runs/{run}/trials?voltages=true")).await;
-    let mut trials = page["items"].as_array().unwrap().clone();
+    let mut trials = lab.items(&format!("/api/v1/runs/{run}/trials?voltages=true")).await;
     for trial in &mut trials {
         for key in ["trial_id", "run", "scan_id", "experiment"] {
             trial.as_object_mut().unwrap().remove(key);
@@ -94,8 +93,7 @@ async fn split(lab: &Filled, name: &str, runs: &[&str], split: Value) -> (u16, V
 async fn parts(lab: &Filled, made: &Value) -> Vec<(String, u64, String)> {
     let id = made["id"].as_str().unwrap_or_else(|| panic!("{made}"));
     let path = format!("/api/v1/datasets/{id}/rows?columns=experiment,configuration,split");
-    let page = lab.get(&path).await;
-    let rows = page["items"].as_array().unwrap().iter();
+    let rows = lab.items(&path).await.into_iter();
     let text = |value: &Value| value.as_str().unwrap_or_default().to_owned();
     rows.map(|row| {
         (text(&row["experiment"]), row["configuration"].as_u64().unwrap(), text(&row["split"]))
@@ -174,9 +172,8 @@ async fn a_split_of_the_file_and_a_split_by_run_are_obeyed() {
         "{made}"
     );
     let path = "/api/v1/datasets/by-tag/rows?columns=imported_tag,split&limit=100";
-    let page = lab.get(path).await;
     let mut part_of = std::collections::BTreeMap::new();
-    for row in page["items"].as_array().unwrap() {
+    for row in lab.items(path).await {
         let part = part_of.entry(row["imported_tag"].to_string()).or_insert(row["split"].clone());
         assert_eq!(*part, row["split"], "{row}");
     }

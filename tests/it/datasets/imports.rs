@@ -97,8 +97,7 @@ async fn another_skins_trials_are_a_run_like_any_other() {
     // The same upload again, after a lost answer, doubles nothing.
     let again = import(&lab, parquet(good()), PAD).await;
     is_refused(again, 409, &format!("imported as run {run}"));
-    let page = lab.get(&format!("/api/v1/runs/{run}/trials?voltages=true")).await;
-    let trials = page["items"].as_array().unwrap();
+    let trials = lab.items(&format!("/api/v1/runs/{run}/trials?voltages=true")).await;
     assert_eq!(trials.len(), 3);
     assert_eq!(trials[0]["contacts"][0]["force_n"], 2.5);
     assert!(trials[1]["contacts"][0].get("force_n").is_none());
@@ -163,15 +162,13 @@ async fn raw_frames_are_stored_and_served_as_those_of_a_rig() {
     let (status, made) = import(&lab, parquet(all), PAD).await;
     assert_eq!(status, 201, "{made}");
     let run = made["run"]["scan_id"].as_i64().unwrap();
-    let page = lab.get(&format!("/api/v1/runs/{run}/trials?voltages=true")).await;
-    let trials = page["items"].as_array().unwrap();
+    let trials = lab.items(&format!("/api/v1/runs/{run}/trials?voltages=true")).await;
     let stated = |n: usize| (&trials[n]["frame_count"], &trials[n]["voltages_v"]);
     assert_eq!(stated(0), (&2.into(), &serde_json::json!([0.5, 0.5, -0.5, 0.25])));
     assert_eq!(stated(1), (&1.into(), &serde_json::json!([1.0, 1.0, 1.0, 1.0])));
     assert_eq!(stated(2), (&0.into(), &serde_json::json!([0.0, 0.0, 0.0, 0.125])));
     let path = |n: usize| format!("/api/v1/trials/{}/frames", trials[n]["trial_id"]);
-    let served = lab.get(&path(0)).await;
-    let served = served["items"].as_array().unwrap();
+    let served = lab.items(&path(0)).await;
     assert_eq!(served.len(), 2);
     let volts: Vec<f64> = serde_json::from_value(served[1]["voltages_v"].clone()).unwrap();
     for (volt, wanted) in volts.iter().zip([0.75, 0.5, -0.75, 0.5]) {
@@ -252,8 +249,7 @@ async fn depths_of_a_configuration_stay_together_under_a_deadband() {
     let (status, made) = lab.post("/api/v1/datasets", heavy).await;
     assert_eq!((status, &made["rows"]), (200, &40.into()), "{made}");
     let path = "/api/v1/datasets/heavy/rows?columns=trial_id,split,contact_count&limit=100";
-    let page = lab.get(path).await;
-    let rows = page["items"].as_array().unwrap();
+    let rows = lab.items(path).await;
     for depths in rows.chunks(2) {
         assert_eq!(
             (&depths[0]["contact_count"], &depths[1]["contact_count"]),

@@ -60,8 +60,7 @@ async fn files_written_from_python_are_taken_or_refused() {
                 assert_eq!(status, 201, "{name}: {made}");
                 assert_eq!(made["columns_left_out"], Value::from(left_out), "{name}");
                 let run = made["run"]["scan_id"].as_i64().unwrap();
-                let page = lab.get(&format!("/api/v1/runs/{run}/trials?limit=10000")).await;
-                let rows = page["items"].as_array().unwrap();
+                let rows = lab.items(&format!("/api/v1/runs/{run}/trials?limit=10000")).await;
                 let sum = |key: &str| rows.iter().map(|r| r[key].as_u64().unwrap()).sum::<u64>();
                 let found = (rows.len() as u64, sum("contact_count"), sum("missing_channels"));
                 assert_eq!(found, (trials, contacts, missing_channels), "{name}");

@@ -117,17 +117,14 @@ async fn a_run_is_checked_started_paused_stopped_at_once_and_finished() {
     let Some(tools) = tools() else { return };
     let lab = Lab::open("browser-operate", rig_args("virtual", 10.0), COMPUTES).await;
     plays(&lab, tools, "operate").await;
-    let actions = lab.get("/api/v1/actions?limit=100").await;
+    let actions = lab.items("/api/v1/actions?limit=100").await;
     let by_her = |row: &Value| {
         let said = |key: &str| row[key].as_str().is_some_and(|text| text.contains("Ada"));
         said("who") || said("why")
     };
     for action in ["queue", "arm", "pause", "resume", "estop"] {
         let is_logged = |row: &Value| row["action"] == action && by_her(row);
-        assert!(
-            actions["items"].as_array().unwrap().iter().any(is_logged),
-            "{action}: {actions:#}"
-        );
+        assert!(actions.iter().any(is_logged), "{action}: {actions:?}");
     }
     lab.close().await;
 }
@@ -148,12 +145,11 @@ async fn a_homing_ends_by_the_button_that_is_there_while_it_moves() {
     let Some(tools) = tools() else { return };
     let lab = Lab::open("browser-motion", rig_args("virtual", 1.0), COMPUTES).await;
     plays(&lab, tools, "motion").await;
-    let actions = lab.get("/api/v1/actions?limit=100").await;
-    let mut aborts = actions["items"].as_array().unwrap().iter();
+    let actions = lab.items("/api/v1/actions?limit=100").await;
     let is_hers = |row: &Value| {
         row["action"] == "rig_abort" && row["who"].as_str().is_some_and(|who| who.contains("Ada"))
     };
-    assert!(aborts.any(is_hers), "{actions:#}");
+    assert!(actions.iter().any(is_hers), "{actions:?}");
     lab.close().await;
 }
 
