@@ -4,7 +4,7 @@
 use std::path::PathBuf;
 use std::process::{Command, Output};
 
-use serde_json::Value;
+use serde_json::{Value, json};
 
 use super::filled::{Filled, folder};
 use crate::support::{self, PALPATE};
@@ -50,7 +50,7 @@ async fn every_format_gives_the_same_trials() {
         let made: Value = serde_json::from_slice(&output.stdout).unwrap();
         assert_eq!(
             (&made["trials"], &made["columns_left_out"]),
-            (&5.into(), &serde_json::json!(["weather"])),
+            (&5.into(), &json!(["weather"])),
             "{file}"
         );
         let found = trials(&lab, made["run"]["scan_id"].as_i64().unwrap()).await;
@@ -84,9 +84,9 @@ async fn every_format_gives_the_same_trials() {
 
 /// Makes a dataset of all trials of these runs with a split: the status and the answer.
 async fn split(lab: &Filled, name: &str, runs: &[&str], split: Value) -> (u16, Value) {
-    let definition = serde_json::json!({ "name": name, "task": "trials", "runs": runs,
+    let definition = json!({ "name": name, "task": "trials", "runs": runs,
         "untouched": "keep", "split": split });
-    lab.post("/api/v1/datasets", serde_json::json!({ "definition": definition })).await
+    lab.post("/api/v1/datasets", json!({ "definition": definition })).await
 }
 
 /// Part of each row of a dataset, by experiment and configuration.
@@ -123,22 +123,19 @@ async fn a_split_of_the_file_and_a_split_by_run_are_obeyed() {
         support::succeeded(&import(&lab, &files, &format!("{name}.csv"), &[]).await);
     }
     // Equal positions are in different parts, as the file states.
-    let (status, made) =
-        split(&lab, "imported", &["some"], serde_json::json!({ "by": "imported" })).await;
+    let (status, made) = split(&lab, "imported", &["some"], json!({ "by": "imported" })).await;
     assert_eq!(
         (status, &made["report"]["left_out"]),
-        (200, &serde_json::json!({ "no imported part": 1 })),
+        (200, &json!({ "no imported part": 1 })),
         "{made}"
     );
     let found: Vec<String> = parts(&lab, &made).await.into_iter().map(|(.., part)| part).collect();
     assert_eq!(found, ["test", "train", "validation"]);
-    let (status, refused) =
-        split(&lab, "none", &["one"], serde_json::json!({ "by": "imported" })).await;
+    let (status, refused) = split(&lab, "none", &["one"], json!({ "by": "imported" })).await;
     let detail = refused["detail"].as_str().unwrap();
     assert!(status != 200 && detail.contains("a column split with train"), "{status} {refused}");
     // Leave one batch out: the named run is the test part, and the other is divided.
-    let by =
-        |tests: &str| serde_json::json!({ "by": "run", "ratio": [3, 1, 1], "test_runs": [tests] });
+    let by = |tests: &str| json!({ "by": "run", "ratio": [3, 1, 1], "test_runs": [tests] });
     let (status, made) = split(&lab, "left-out", &["one", "two"], by("two")).await;
     assert_eq!(status, 200, "{made}");
     let found = parts(&lab, &made).await;
@@ -164,11 +161,10 @@ async fn a_split_of_the_file_and_a_split_by_run_are_obeyed() {
     }
     std::fs::write(files.join("tagged.csv"), tagged).unwrap();
     support::succeeded(&import(&lab, &files, "tagged.csv", &[]).await);
-    let (status, made) =
-        split(&lab, "by-tag", &["tagged"], serde_json::json!({ "by": "tag" })).await;
+    let (status, made) = split(&lab, "by-tag", &["tagged"], json!({ "by": "tag" })).await;
     assert_eq!(
         (status, &made["report"]["left_out"]),
-        (200, &serde_json::json!({ "no imported tag": 5 })),
+        (200, &json!({ "no imported tag": 5 })),
         "{made}"
     );
     let path = "/api/v1/datasets/by-tag/rows?columns=imported_tag,split&limit=100";
@@ -181,8 +177,7 @@ async fn a_split_of_the_file_and_a_split_by_run_are_obeyed() {
     assert_eq!((part_of.len(), parts.len()), (9, 3), "{part_of:?}");
     let path = "/api/v1/datasets/by-tag/rows?imported_tag=tip%203&limit=100";
     assert_eq!(lab.get(path).await["items"].as_array().unwrap().len(), 5);
-    let (status, refused) =
-        split(&lab, "no-tags", &["one"], serde_json::json!({ "by": "tag" })).await;
+    let (status, refused) = split(&lab, "no-tags", &["one"], json!({ "by": "tag" })).await;
     let detail = refused["detail"].as_str().unwrap();
     assert!(status != 200 && detail.contains("needs a column tag"), "{status} {refused}");
     // A part that is none is refused with its row.

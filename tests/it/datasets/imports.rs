@@ -9,7 +9,7 @@ use arrow_buffer::{NullBuffer, OffsetBuffer};
 use arrow_schema::{DataType, Field, Fields};
 use parquet::arrow::ArrowWriter;
 use reqwest::multipart::{Form, Part};
-use serde_json::Value;
+use serde_json::{Value, json};
 
 use palpate::dataset::build::Progress;
 use palpate::dataset::error::{DatasetError, Product};
@@ -118,22 +118,22 @@ async fn another_skins_trials_are_a_run_like_any_other() {
     assert!(map.len() == 1600 && (map.iter().sum::<f64>() - 2.5).abs() < 1e-4, "{rows}");
     // It joins datasets only when it is named, and never those of another label unasked.
     assert_eq!(lab.make("real").await["report"]["channels"], 784);
-    let both = serde_json::json!({ "definition": { "name": "both", "task": "real",
+    let both = json!({ "definition": { "name": "both", "task": "real",
         "runs": ["1", run.to_string()] } });
     lab.refuses("/api/v1/datasets", both, 409, "run 1 is virtual").await;
-    let own = serde_json::json!({ "definition": { "name": "pad", "task": "real",
+    let own = json!({ "definition": { "name": "pad", "task": "real",
         "runs": ["pad-study"] } });
     let (status, own) = lab.post("/api/v1/datasets", own).await;
     assert_eq!((status, &own["rows"]), (200, &2.into()), "{own}");
     // A deadband removes the contact of 2.5 N, and keeps the one whose force is not known.
-    let heavy = serde_json::json!({ "definition": { "name": "pad-heavy", "task": "real",
+    let heavy = json!({ "definition": { "name": "pad-heavy", "task": "real",
         "runs": ["pad-study"], "deadband_n": 3.0, "untouched": "keep" } });
     let (status, heavy) = lab.post("/api/v1/datasets", heavy).await;
     assert_eq!((status, &heavy["rows"]), (200, &3.into()), "{heavy}");
     let path = "/api/v1/datasets/pad-heavy/rows?columns=contact_count,contacts,max_force_n";
     let rows = lab.get(path).await["items"].clone();
     let found = |row: usize| (rows[row]["contact_count"].clone(), rows[row]["contacts"].clone());
-    assert_eq!(found(0), (0.into(), serde_json::json!([])), "{rows}");
+    assert_eq!(found(0), (0.into(), json!([])), "{rows}");
     assert_eq!((&found(1).0, &rows[0]["max_force_n"]), (&1.into(), &2.5.into()), "{rows}");
     lab.close().await;
 }
@@ -164,9 +164,9 @@ async fn raw_frames_are_stored_and_served_as_those_of_a_rig() {
     let run = made["run"]["scan_id"].as_i64().unwrap();
     let trials = lab.items(&format!("/api/v1/runs/{run}/trials?voltages=true")).await;
     let stated = |n: usize| (&trials[n]["frame_count"], &trials[n]["voltages_v"]);
-    assert_eq!(stated(0), (&2.into(), &serde_json::json!([0.5, 0.5, -0.5, 0.25])));
-    assert_eq!(stated(1), (&1.into(), &serde_json::json!([1.0, 1.0, 1.0, 1.0])));
-    assert_eq!(stated(2), (&0.into(), &serde_json::json!([0.0, 0.0, 0.0, 0.125])));
+    assert_eq!(stated(0), (&2.into(), &json!([0.5, 0.5, -0.5, 0.25])));
+    assert_eq!(stated(1), (&1.into(), &json!([1.0, 1.0, 1.0, 1.0])));
+    assert_eq!(stated(2), (&0.into(), &json!([0.0, 0.0, 0.0, 0.125])));
     let path = |n: usize| format!("/api/v1/trials/{}/frames", trials[n]["trial_id"]);
     let served = lab.items(&path(0)).await;
     assert_eq!(served.len(), 2);
@@ -244,7 +244,7 @@ async fn depths_of_a_configuration_stay_together_under_a_deadband() {
     let columns = vec![("voltages_v", frames(4, volts)), ("contacts", lists(&touches, [2; 40]))];
     let (status, made) = import(&lab, parquet(columns), PAD).await;
     assert_eq!(status, 201, "{made}");
-    let heavy = serde_json::json!({ "definition": { "name": "heavy", "task": "real",
+    let heavy = json!({ "definition": { "name": "heavy", "task": "real",
         "runs": ["pad-study"], "deadband_n": 3.0 } });
     let (status, made) = lab.post("/api/v1/datasets", heavy).await;
     assert_eq!((status, &made["rows"]), (200, &40.into()), "{made}");
