@@ -1,18 +1,18 @@
 //! The same trials in every format that imports read, through the command, row by row. Without numpy, pandas
 //! and scipy the test reports that it was skipped; with `PALPATE_REQUIRE_TOOLS=1` it fails instead.
 
-use std::path::PathBuf;
+use std::path::Path;
 use std::process::{Command, Output};
 
 use serde_json::{Value, json};
 
-use super::filled::{Filled, folder};
-use crate::support::{self, PALPATE};
+use super::filled::Filled;
+use crate::support::{self, Folder, PALPATE};
 
 const FILES: [&str; 5] = ["trials.parquet", "trials.csv", "trials.npz", "trials.mat", "packed.mat"];
 
 /// Runs `palpate dataset import` on a file of `files`.
-async fn import(lab: &Filled, files: &PathBuf, file: &str, more: &[&str]) -> Output {
+async fn import(lab: &Filled, files: &Path, file: &str, more: &[&str]) -> Output {
     let mut command = Command::new(PALPATE);
     command.current_dir(files).args(["dataset", "import", file, "--sensor", "pad.toml"]);
     command.args(more).args(["--url", &lab.url("")]);
@@ -20,9 +20,9 @@ async fn import(lab: &Filled, files: &PathBuf, file: &str, more: &[&str]) -> Out
 }
 
 /// Writes the files of a script of `python/`; `None` without its modules.
-async fn written(script: &str, name: &str) -> Option<PathBuf> {
+async fn written(script: &str, name: &str) -> Option<Folder> {
     let python = support::python("pandas, numpy, scipy, pyarrow")?;
-    let files = folder(name);
+    let files = Folder::new(name);
     support::printed(python, &format!("datasets/python/{script}"), &[&files]).await;
     Some(files)
 }
@@ -40,7 +40,7 @@ async fn trials(lab: &Filled, run: i64) -> Vec<Value> {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn every_format_gives_the_same_trials() {
-    let Some(files) = written("formats.py", "formats-files").await else { return };
+    let Some(files) = written("formats.py", "formats").await else { return };
     let lab = Filled::open("formats").await;
     let mut wanted: Option<Vec<Value>> = None;
     for file in FILES {
@@ -79,7 +79,6 @@ async fn every_format_gives_the_same_trials() {
     let output = import(&lab, &files, "new.mat", &[]).await;
     support::not_done(&output, 2, "'-v7'");
     lab.close().await;
-    std::fs::remove_dir_all(files).unwrap();
 }
 
 /// Makes a dataset of all trials of these runs with a split: the status and the answer.
@@ -113,7 +112,7 @@ fn table(trials: u32, split: &str) -> String {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_split_of_the_file_and_a_split_by_run_are_obeyed() {
     let lab = Filled::open("imported-splits").await;
-    let files = folder("imported-splits-files");
+    let files = Folder::new("imported-splits");
     let pad = "name = \"pad\"\nchannels = 6\nwidth_mm = 100\nheight_mm = 100\n";
     std::fs::write(files.join("pad.toml"), pad).unwrap();
     let some = "v0,v1,v2,v3,v4,v5,x_mm,y_mm,split\n0,1,2,3,4,5,1,1,test\n0,1,2,3,4,5,1,1,train\n\
@@ -186,13 +185,12 @@ async fn a_split_of_the_file_and_a_split_by_run_are_obeyed() {
     let errors = String::from_utf8_lossy(&output.stderr).into_owned();
     assert!(errors.contains("split = training: must be train, validation or test"), "{errors}");
     lab.close().await;
-    std::fs::remove_dir_all(files).unwrap();
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_dry_run_shows_what_was_understood_and_stores_nothing() {
     let lab = Filled::open("dry-run").await;
-    let files = folder("dry-run-files");
+    let files = Folder::new("dry-run");
     let pad = "name = \"pad\"\nchannels = 3\nwidth_mm = 100\nheight_mm = 100\n";
     std::fs::write(files.join("pad.toml"), pad).unwrap();
     let text = "v0,v1,v2,x_mm,y_mm,force_n,weather,split\n0.5,,-1.5,10,20,2.5,rain,train\n1,2,3,,,,sun,test\n";
@@ -224,13 +222,12 @@ async fn a_dry_run_shows_what_was_understood_and_stores_nothing() {
     let output = import(&lab, &files, "counts.csv", &["--dry-run"]).await;
     support::not_done(&output, 2, "row 0, voltages_v[2] = 4096: must be from -1000 to 1000 V");
     lab.close().await;
-    std::fs::remove_dir_all(files).unwrap();
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn positions_of_a_robot_become_positions_on_the_skin() {
     let lab = Filled::open("coordinates").await;
-    let files = folder("coordinates-files");
+    let files = Folder::new("coordinates");
     let pad = "name = \"pad\"\nchannels = 3\nwidth_mm = 100\nheight_mm = 80\n";
     std::fs::write(files.join("pad.toml"), pad).unwrap();
     // The robot counts in metres from the corner opposite to the skin's.
@@ -254,5 +251,4 @@ async fn positions_of_a_robot_become_positions_on_the_skin() {
     let output = import(&lab, &files, "robot.csv", &["--coordinates", "map.toml"]).await;
     support::not_done(&output, 2, "rotate_deg: must be from -360 to 360");
     lab.close().await;
-    std::fs::remove_dir_all(files).unwrap();
 }

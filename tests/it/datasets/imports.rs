@@ -18,8 +18,8 @@ use palpate::dataset::import::{Import, import as import_file};
 use palpate::dataset::space::KEPT_FREE_BYTES;
 use palpate::store::{Label, TrialQuery};
 
-use super::filled::{Filled, folder, store};
-use crate::support::{answered, is_refused};
+use super::filled::{Filled, store};
+use crate::support::{Folder, answered, is_refused};
 
 pub const PAD: &str = "name = \"pad\"\nchannels = 4\nwidth_mm = 100\nheight_mm = 80\n";
 
@@ -277,7 +277,7 @@ fn request() -> Import {
 
 #[tokio::test]
 async fn a_file_that_is_imported_twice_at_once_is_one_run() {
-    let data = folder("import-twice");
+    let data = Folder::new("import-twice");
     let store = store(&data).await;
     let path = data.join("pad.parquet");
     std::fs::write(&path, parquet(good())).unwrap();
@@ -295,12 +295,11 @@ async fn a_file_that_is_imported_twice_at_once_is_one_run() {
     let refused = import_file(&store, &path, renamed, u64::MAX, &progress).await;
     assert!(matches!(refused, Err(DatasetError::Imported(known)) if known == run.scan_id));
     store.close().await;
-    std::fs::remove_dir_all(data).unwrap();
 }
 
 #[tokio::test]
 async fn an_import_that_the_disk_cannot_hold_stores_nothing() {
-    let data = folder("import-disk");
+    let data = Folder::new("import-disk");
     let store = store(&data).await;
     let path = data.join("pad.parquet");
     std::fs::write(&path, parquet(good())).unwrap();
@@ -316,5 +315,4 @@ async fn an_import_that_the_disk_cannot_hold_stores_nothing() {
     // What a client shows while it waits.
     assert_eq!([&progress.done, &progress.total].map(|n| n.load(Relaxed)), [3, 3]);
     store.close().await;
-    std::fs::remove_dir_all(data).unwrap();
 }

@@ -7,9 +7,9 @@ use std::path::Path;
 
 use serde_json::Value;
 
-use super::filled::{Filled, folder};
+use super::filled::Filled;
 use super::imports::import;
-use crate::support;
+use crate::support::{self, Folder};
 
 /// Modules that the scripts import.
 const MODULES: &str = "pandas, polars, duckdb, pyarrow, numpy";
@@ -36,7 +36,7 @@ enum Expected {
 #[tokio::test(flavor = "multi_thread")]
 async fn files_written_from_python_are_taken_or_refused() {
     let Some(python) = support::python(MODULES) else { return };
-    let files = folder("written-from-python");
+    let files = Folder::new("written-from-python");
     support::printed(python, "datasets/python/import.py", &[&files]).await;
     let read = |name: &str| std::fs::read(files.join(name)).unwrap();
     let expected: BTreeMap<String, Expected> =
@@ -68,5 +68,4 @@ async fn files_written_from_python_are_taken_or_refused() {
         }
     }
     lab.close().await;
-    std::fs::remove_dir_all(files).ok();
 }
