@@ -180,15 +180,8 @@ fn commands_on_the_same_machine_find_a_service_with_tls() {
     std::fs::write(files.join("rig.toml"), rig()).unwrap();
     let data = files.path("data");
     let mut serve = Command::new(PALPATE);
-    serve.args([
-        "serve",
-        "--bind",
-        "127.0.0.1:0",
-        "--data",
-        &data,
-        "--rig",
-        &files.path("rig.toml"),
-    ]);
+    serve.args(["serve", "--bind", "127.0.0.1:0", "--data", &data, "--rig"]);
+    serve.arg(files.join("rig.toml"));
     serve.arg("--tls-cert").arg(&certificate).arg("--tls-key").arg(&key);
     let (_service, url) = served(&mut serve);
     assert!(url.starts_with("https://"), "{url}");
