@@ -38,6 +38,13 @@ pub fn is_refused((status, problem): (u16, Value), expected: u16, words: &str) {
     assert!(is_so, "{expected} {words}: {status} {problem:#}");
 }
 
+/// Reports that a test is left out, for what it lacks; fails if `PALPATE_REQUIRE_TOOLS` is set.
+pub fn left_out<T>(missing: &str) -> Option<T> {
+    assert!(std::env::var_os("PALPATE_REQUIRE_TOOLS").is_none(), "{missing}");
+    println!("LEFT OUT: {missing}");
+    None
+}
+
 /// A process that is killed, at the latest, at the end of its test.
 pub struct Process(pub Child);
 

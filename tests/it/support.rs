@@ -12,7 +12,8 @@ use sim_core::sensor::Sensor;
 use tempfile::TempDir;
 
 pub use crate::common::{
-    Process, SENSOR, answered, http, is_refused, serve_options, skin_cache, until, with_responses,
+    Process, SENSOR, answered, http, is_refused, left_out, serve_options, skin_cache, until,
+    with_responses,
 };
 
 pub const PALPATE: &str = env!("CARGO_BIN_EXE_palpate");
@@ -115,11 +116,7 @@ pub fn copy_folder(from: &Path, to: &Path) {
 }
 
 /// A Python that can import these modules (`PALPATE_PYTHON`, otherwise `python3`). Without one the test
-/// prints `LEFT OUT`.
-///
-/// # Panics
-///
-/// If there is none and `PALPATE_REQUIRE_TOOLS` is set.
+/// is left out.
 pub fn python(modules: &str) -> Option<String> {
     let python = std::env::var("PALPATE_PYTHON").unwrap_or_else(|_| "python3".into());
     let found = Command::new(&python)
@@ -130,8 +127,5 @@ pub fn python(modules: &str) -> Option<String> {
     if found {
         return Some(python);
     }
-    let missing = format!("no Python that has {modules}");
-    assert!(std::env::var_os("PALPATE_REQUIRE_TOOLS").is_none(), "{missing}");
-    println!("LEFT OUT: {missing} (set PALPATE_PYTHON)");
-    None
+    left_out(&format!("no Python that has {modules} (set PALPATE_PYTHON)"))
 }

@@ -18,14 +18,12 @@ use serde_json::{Value, json};
 use tokio::time::timeout;
 
 use super::filled::{self, Filled};
+use crate::support::left_out;
 
 /// A filled service, if there is an engine.
 async fn lab(name: &str) -> Option<Filled> {
     if !matches!(QUERY.find(), Program::Ready(_)) {
-        let build = "cargo build --manifest-path query/Cargo.toml";
-        assert!(std::env::var_os("PALPATE_REQUIRE_TOOLS").is_none(), "no query engine: {build}");
-        println!("LEFT OUT: no query engine ({build})");
-        return None;
+        return left_out("no query engine: cargo build --manifest-path query/Cargo.toml");
     }
     Some(Filled::open(&format!("sql-{name}")).await)
 }

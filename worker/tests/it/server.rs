@@ -23,12 +23,7 @@ pub struct Server {
 /// A server, or `None` if PostgreSQL is not installed.
 pub fn start() -> Option<Server> {
     let Some(bin) = bin() else {
-        assert!(
-            std::env::var_os("PALPATE_REQUIRE_TOOLS").is_none(),
-            "no postgres: install PostgreSQL 12 or later"
-        );
-        eprintln!("SKIPPED: no postgres");
-        return None;
+        return left_out("no postgres: install PostgreSQL 12 or later");
     };
     let folder = tempfile::Builder::new().prefix("palpate-pg-").tempdir().unwrap();
     if is_root() {
@@ -75,6 +70,13 @@ fn as_user(program: &Path, folder: &Path) -> Command {
     };
     command.current_dir(folder);
     command
+}
+
+/// Reports that a test is left out, for what it lacks; fails if `PALPATE_REQUIRE_TOOLS` is set.
+pub fn left_out<T>(missing: &str) -> Option<T> {
+    assert!(std::env::var_os("PALPATE_REQUIRE_TOOLS").is_none(), "{missing}");
+    println!("LEFT OUT: {missing}");
+    None
 }
 
 /// Options of openssl for a new key.
