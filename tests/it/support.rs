@@ -1,5 +1,6 @@
-//! What several tests need: the sensor, a folder, commands, a service as a process, Python.
+//! What several tests need: the sensor, a folder and its files, commands, a service as a process, Python.
 
+use std::collections::BTreeMap;
 use std::fmt::Debug;
 use std::io::{BufRead, BufReader};
 use std::ops::Deref;
@@ -7,6 +8,7 @@ use std::path::Path;
 use std::process::{Command, Output, Stdio};
 use std::time::Duration;
 
+use palpate::digest::sha256_hex;
 use serde_json::Value;
 use sim_core::sensor::Sensor;
 use tempfile::TempDir;
@@ -113,6 +115,21 @@ pub async fn eventually<T: Debug>(
 
 pub fn copy_folder(from: &Path, to: &Path) {
     assert!(Command::new("cp").arg("-r").arg(from).arg(to).status().unwrap().success());
+}
+
+/// Name and sha256 of every file of a folder and of those below, in order.
+pub fn files(folder: &Path) -> BTreeMap<String, String> {
+    let mut found = BTreeMap::new();
+    for entry in std::fs::read_dir(folder).unwrap() {
+        let path = entry.unwrap().path();
+        let name = path.file_name().unwrap().to_str().unwrap();
+        if path.is_dir() {
+            found.extend(files(&path).into_iter().map(|(of, sha)| (format!("{name}/{of}"), sha)));
+        } else {
+            found.insert(name.to_owned(), sha256_hex(std::fs::read(&path).unwrap()));
+        }
+    }
+    found
 }
 
 /// A Python that can import these modules (`PALPATE_PYTHON`, otherwise `python3`). Without one the test
