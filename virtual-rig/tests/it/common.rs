@@ -202,17 +202,7 @@ impl Iai {
 
 /// Sends a request to a unit and returns the exception code or the response.
 pub async fn call(context: &mut Context, request: Request<'_>) -> Result<Response, u16> {
-    context.call(request).await.unwrap().map_err(u16::from_exception)
-}
-
-trait FromException {
-    fn from_exception(exception: tokio_modbus::ExceptionCode) -> Self;
-}
-
-impl FromException for u16 {
-    fn from_exception(exception: tokio_modbus::ExceptionCode) -> Self {
-        u16::from(u8::from(exception))
-    }
+    context.call(request).await.unwrap().map_err(|exception| u8::from(exception).into())
 }
 
 /// One frame, decoded by an independent reader.
@@ -223,7 +213,7 @@ pub struct Frame {
     pub voltages_v: Vec<f64>,
 }
 
-/// Reads a packet stream: Cheshire and Baker's COBS, CRC32 bit by bit.
+/// Reads a packet stream.
 pub struct StreamReader<R> {
     wire: R,
     pending: Vec<u8>,
