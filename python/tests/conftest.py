@@ -15,7 +15,10 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+import polars as pl
 import pytest
+
+from palpate import Palpate
 
 ROOT = Path(__file__).resolve().parents[2]
 START_S, COMMAND_S = 60, 300
@@ -96,6 +99,18 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+def self_signed(certificate: Path, host: str) -> None:
+    """Makes a certificate that signs itself; its key is ``key.pem`` next to it."""
+    key = certificate.with_name("key.pem")
+    subprocess.run(
+        ["openssl", "req", "-x509", "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1",
+         "-nodes", "-days", "365", "-subj", f"/CN={host}", "-addext", f"subjectAltName=DNS:{host}",
+         "-keyout", str(key), "-out", str(certificate)],
+        check=True, capture_output=True,
+    )  # fmt: skip
+    key.chmod(0o600)
+
+
 def write_pad(file: Path) -> None:
     """Two trials of a skin with 208 channels, the second without contact."""
     import pyarrow as pa
@@ -121,6 +136,12 @@ def service(data: Path) -> Iterator[Service]:
         yield Service(url, data)
 
 
+@pytest.fixture
+def lab(service: Service) -> Palpate[pl.DataFrame]:
+    """The package, asking this service."""
+    return Palpate(service.url)
+
+
 @pytest.fixture(scope="session")
 def guarded(data: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
     """A service with TLS that needs a key; its certificate is ``cert.pem`` in the data folder."""
@@ -128,14 +149,7 @@ def guarded(data: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Se
         pytest.skip("no openssl")
     folder = tmp_path_factory.mktemp("guarded") / "data"
     shutil.copytree(data, folder, ignore=shutil.ignore_patterns("server.json", "palpate.lock"))
-    subprocess.run(
-        ["openssl", "req", "-x509", "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1",
-         "-nodes", "-days", "365", "-subj", "/CN=rig.example.org",
-         "-addext", "subjectAltName=DNS:rig.example.org",
-         "-keyout", str(folder / "key.pem"), "-out", str(folder / "cert.pem")],
-        check=True, capture_output=True,
-    )  # fmt: skip
-    (folder / "key.pem").chmod(0o600)
+    self_signed(folder / "cert.pem", "rig.example.org")
     printed = command(folder, "key", "create", "ada", "--role", "viewer")
     key = next(word for word in printed.split() if word.startswith("palpate_"))
     tls = ("--tls-cert", str(folder / "cert.pem"), "--tls-key", str(folder / "key.pem"))

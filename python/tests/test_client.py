@@ -23,11 +23,6 @@ from palpate import Palpate, PalpateError
 TRIALS = 264 + 2
 
 
-@pytest.fixture
-def lab(service: Service) -> Palpate[pl.DataFrame]:
-    return Palpate(service.url)
-
-
 def raw(service: Service, path: str) -> Any:
     """What the service answers without this package."""
     with urllib.request.urlopen(service.url + path) as answer:

@@ -16,11 +16,6 @@ from palpate import Palpate, PalpateError
 from palpate._rows import Rows, values_of
 
 
-@pytest.fixture
-def lab(service: Service) -> Palpate[pl.DataFrame]:
-    return Palpate(service.url)
-
-
 def test_the_rows_are_the_same_in_every_form(lab: Palpate[pl.DataFrame]) -> None:
     real = lab.dataset("real")
     rows = real.polars()

@@ -10,10 +10,11 @@ import threading
 import urllib.request
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 
 import polars as pl
 import pytest
-from conftest import Service
+from conftest import Service, self_signed
 
 from palpate import Palpate, PalpateError
 
@@ -150,20 +151,12 @@ def test_tls_trusts_the_certificate_of_the_service_whatever_its_name(guarded: Se
     assert lab.dataset("real").scan().select(pl.len()).collect().item() == len(lab.dataset("real"))
 
 
-def test_tls_refuses_another_certificate(guarded: Service, tmp_path: object) -> None:
+def test_tls_refuses_another_certificate(guarded: Service, tmp_path: Path) -> None:
     with pytest.raises(PalpateError, match="state its certificate as ca=") as unknown:
         Palpate(guarded.url, guarded.key).runs()
     assert unknown.value.status is None
-    import subprocess
-    from pathlib import Path
-
-    other = Path(str(tmp_path)) / "other.pem"
-    subprocess.run(
-        ["openssl", "req", "-x509", "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1",
-         "-nodes", "-days", "1", "-subj", "/CN=other", "-keyout", str(other.with_suffix(".key")),
-         "-out", str(other)],
-        check=True, capture_output=True,
-    )  # fmt: skip
+    other = tmp_path / "other.pem"
+    self_signed(other, "other")
     with pytest.raises(PalpateError, match="certificate"):
         Palpate(guarded.url, guarded.key, ca=other).runs()
 

@@ -31,6 +31,20 @@ pub async fn answered(request: reqwest::RequestBuilder) -> (u16, Value) {
     (status, answer.json().await.unwrap_or(Value::Null))
 }
 
+/// An answer that must be a refusal with this status and these words.
+pub fn is_refused((status, problem): (u16, Value), expected: u16, words: &str) {
+    let detail = problem["detail"].as_str().unwrap_or_default();
+    let is_so = status == expected && detail.contains(words);
+    assert!(is_so, "{expected} {words}: {status} {problem:#}");
+}
+
+/// Reports that a test is left out, for what it lacks; fails if `PALPATE_REQUIRE_TOOLS` is set.
+pub fn left_out<T>(missing: &str) -> Option<T> {
+    assert!(std::env::var_os("PALPATE_REQUIRE_TOOLS").is_none(), "{missing}");
+    println!("LEFT OUT: {missing}");
+    None
+}
+
 /// A process that is killed, at the latest, at the end of its test.
 pub struct Process(pub Child);
 

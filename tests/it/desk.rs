@@ -14,7 +14,7 @@ use reqwest::Method;
 use serde_json::{Value, json};
 
 use crate::datasets::filled::{Filled, folder};
-use crate::support::{PALPATE, answered};
+use crate::support::{PALPATE, answered, is_refused};
 
 const QUEUE: &str = "/api/v1/queue";
 const SIMULATIONS: &str = "/api/v1/simulations";
@@ -67,8 +67,7 @@ impl Filled {
 #[tokio::test(flavor = "multi_thread")]
 async fn every_carried_experiment_can_be_queued_as_it_is() {
     let lab = Filled::serve(folder("desk-carried")).await;
-    let carried = lab.get("/api/v1/experiments").await;
-    let items = carried["items"].as_array().unwrap();
+    let items = lab.items("/api/v1/experiments").await;
     assert!(items.len() >= 11);
     let named = |name: &str| items.iter().find(|item| item["name"] == name).unwrap();
     let quickstart = named("quickstart");
@@ -111,11 +110,8 @@ async fn every_carried_experiment_can_be_queued_as_it_is() {
 #[tokio::test(flavor = "multi_thread")]
 async fn recipes_and_limits_of_the_rig_are_those_of_their_files() {
     let lab = Filled::serve(folder("desk-recipes")).await;
-    let recipes = lab.get("/api/v1/recipes").await;
-    let named = |name: &str| {
-        let mut items = recipes["items"].as_array().unwrap().iter();
-        items.find(|item| item["name"] == name).unwrap()
-    };
+    let recipes = lab.items("/api/v1/recipes").await;
+    let named = |name: &str| recipes.iter().find(|item| item["name"] == name).unwrap();
     assert_eq!(
         named("recon-net")["text"],
         include_str!("../../experiments/recipes/recon-net.toml")
@@ -215,10 +211,8 @@ async fn a_run_that_has_begun_is_neither_edited_nor_moved() {
     store.run_state(uid, StateChange::to(StoredState::Running), Timestamp::now()).await.unwrap();
     store.close().await;
     let lab = Filled::serve(data).await;
-    let (status, refused) = lab.put(&run["uid"], None, &submission(3)).await;
-    assert_eq!(status, 409, "{refused}");
-    let words = refused["detail"].as_str().unwrap();
-    assert!(words.contains("only a queued run can be edited"), "{words}");
+    let refused = lab.put(&run["uid"], None, &submission(3)).await;
+    is_refused(refused, 409, "only a queued run can be edited");
     let path = format!("{QUEUE}/{}/move", run["uid"].as_str().unwrap());
     let refused = lab.posted(&path, json!({ "position": 1 }), 409).await;
     let words = refused["detail"].as_str().unwrap();

@@ -252,8 +252,7 @@ async fn a_service_offers_the_killed_run_and_serves_what_was_made() {
     let file = lab.answer(&format!("/api/v1/data/{id}.parquet")).await.bytes().await.unwrap();
     assert_eq!(dataset["sha256"], sha256_hex(&file).as_str());
     let columns = "trial_id,voltages_v,sim_voltages_v";
-    let page = lab.get(&format!("/api/v1/datasets/{id}/rows?limit=100&columns={columns}")).await;
-    let rows = page["items"].as_array().unwrap();
+    let rows = lab.items(&format!("/api/v1/datasets/{id}/rows?limit=100&columns={columns}")).await;
     assert_eq!(dataset["rows"], rows.len());
     for row in rows {
         let trials = recorded["trials"].as_array().unwrap();

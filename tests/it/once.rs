@@ -29,13 +29,12 @@ impl Filled {
     }
 
     async fn queued(&self) -> usize {
-        self.get(QUEUE).await["items"].as_array().unwrap().len()
+        self.items(QUEUE).await.len()
     }
 
     /// The newest actions: name, whether it was accepted, number of the API key.
     async fn logged(&self, n: usize) -> Vec<Value> {
-        let actions = self.get(&format!("/api/v1/actions?limit={n}")).await;
-        let actions = actions["items"].as_array().unwrap().clone();
+        let actions = self.items(&format!("/api/v1/actions?limit={n}")).await;
         let shown =
             |action: &Value| json!([action["action"], action["accepted"], action["key_id"]]);
         actions.iter().map(shown).collect()

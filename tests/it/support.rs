@@ -1,5 +1,6 @@
-//! What several tests need: the sensor, a folder, commands, a service as a process, Python.
+//! What several tests need: the sensor, a folder and its files, commands, a service as a process, Python.
 
+use std::collections::BTreeMap;
 use std::fmt::Debug;
 use std::io::{BufRead, BufReader};
 use std::ops::Deref;
@@ -7,12 +8,14 @@ use std::path::Path;
 use std::process::{Command, Output, Stdio};
 use std::time::Duration;
 
+use palpate::digest::sha256_hex;
 use serde_json::Value;
 use sim_core::sensor::Sensor;
 use tempfile::TempDir;
 
 pub use crate::common::{
-    Process, SENSOR, answered, http, serve_options, skin_cache, until, with_responses,
+    Process, SENSOR, answered, http, is_refused, left_out, serve_options, skin_cache, until,
+    with_responses,
 };
 
 pub const PALPATE: &str = env!("CARGO_BIN_EXE_palpate");
@@ -114,12 +117,23 @@ pub fn copy_folder(from: &Path, to: &Path) {
     assert!(Command::new("cp").arg("-r").arg(from).arg(to).status().unwrap().success());
 }
 
+/// Name and sha256 of every file of a folder and of those below, in order.
+pub fn files(folder: &Path) -> BTreeMap<String, String> {
+    let mut found = BTreeMap::new();
+    for entry in std::fs::read_dir(folder).unwrap() {
+        let path = entry.unwrap().path();
+        let name = path.file_name().unwrap().to_str().unwrap();
+        if path.is_dir() {
+            found.extend(files(&path).into_iter().map(|(of, sha)| (format!("{name}/{of}"), sha)));
+        } else {
+            found.insert(name.to_owned(), sha256_hex(std::fs::read(&path).unwrap()));
+        }
+    }
+    found
+}
+
 /// A Python that can import these modules (`PALPATE_PYTHON`, otherwise `python3`). Without one the test
-/// prints `LEFT OUT`.
-///
-/// # Panics
-///
-/// If there is none and `PALPATE_REQUIRE_TOOLS` is set.
+/// is left out.
 pub fn python(modules: &str) -> Option<String> {
     let python = std::env::var("PALPATE_PYTHON").unwrap_or_else(|_| "python3".into());
     let found = Command::new(&python)
@@ -130,8 +144,5 @@ pub fn python(modules: &str) -> Option<String> {
     if found {
         return Some(python);
     }
-    let missing = format!("no Python that has {modules}");
-    assert!(std::env::var_os("PALPATE_REQUIRE_TOOLS").is_none(), "{missing}");
-    println!("LEFT OUT: {missing} (set PALPATE_PYTHON)");
-    None
+    left_out(&format!("no Python that has {modules} (set PALPATE_PYTHON)"))
 }

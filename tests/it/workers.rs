@@ -10,7 +10,7 @@ use std::time::Duration;
 use reqwest::Method;
 use serde_json::{Value, json};
 
-use crate::support::{Folder, PALPATE, answered, eventually, http, served};
+use crate::support::{Folder, PALPATE, answered, eventually, http, is_refused, served};
 
 /// Longest wait for anything.
 const LIMIT: Duration = Duration::from_secs(60);
@@ -54,9 +54,7 @@ async fn a_service_submits_cancels_and_gathers_and_its_gather_ends_with_it() {
         (Method::DELETE, "/orders/abababab", 409, "order ab: not in the store"),
         (Method::DELETE, "/orders/none", 404, "must be an id"),
     ] {
-        let (status, problem) = ask(method, path).await;
-        assert_eq!(status, expected, "{path}: {problem}");
-        assert!(problem["detail"].as_str().unwrap().contains(words), "{path}: {problem}");
+        is_refused(ask(method, path).await, expected, words);
     }
 
     let (status, begun) = ask(Method::POST, "/folders/bulk/gather").await;
@@ -64,9 +62,7 @@ async fn a_service_submits_cancels_and_gathers_and_its_gather_ends_with_it() {
         "folder": "bulk", "into": "sim-random/bulk", "state": "running", "error": null
     });
     assert_eq!((status, &begun), (202, &expected));
-    let (status, problem) = ask(Method::POST, "/folders/bulk/gather").await;
-    assert_eq!(status, 409);
-    assert!(problem["detail"].as_str().unwrap().contains("bulk is being gathered"), "{problem}");
+    is_refused(ask(Method::POST, "/folders/bulk/gather").await, 409, "bulk is being gathered");
     let (_, found) = ask(Method::GET, "").await;
     assert_eq!(found["gather"], expected);
     let fetching = async || fs::read_to_string(&process).ok();

@@ -12,7 +12,9 @@ use virtual_rig::run::{RigArgs, RigOptions, VirtualRig};
 use virtual_rig::{OperatorArgs, operator_main};
 
 use crate::common::serve_options;
-pub use crate::common::{Process, SENSOR, answered, http, skin_cache, until, with_responses};
+pub use crate::common::{
+    Process, SENSOR, answered, http, is_refused, left_out, skin_cache, until, with_responses,
+};
 
 /// Longest wait for anything that a test waits for.
 pub const LIMIT: Duration = Duration::from_secs(120);
@@ -137,6 +139,11 @@ impl Lab {
         answer.json().await.unwrap()
     }
 
+    /// The items of a page.
+    pub async fn items(&self, path: &str) -> Vec<Value> {
+        self.get(path).await["items"].as_array().unwrap().clone()
+    }
+
     /// A POST: its status and its body.
     pub async fn post(&self, path: &str, body: Value) -> (u16, Value) {
         let url = format!("{}{path}", self.service.url());
@@ -256,11 +263,9 @@ impl Lab {
 
     /// Keys of a run's trials, in the order of storage.
     pub async fn keys(&self, run: &str) -> Vec<(u64, u64)> {
-        let page = self.get(&format!("/api/v1/runs/{run}/trials?limit=10000")).await;
-        let trials = page["items"].as_array().unwrap().iter();
-        trials
-            .map(|t| (t["configuration"].as_u64().unwrap(), t["depth_index"].as_u64().unwrap()))
-            .collect()
+        let trials = self.items(&format!("/api/v1/runs/{run}/trials?limit=10000")).await;
+        let number = |trial: &Value, key: &str| trial[key].as_u64().unwrap();
+        trials.iter().map(|t| (number(t, "configuration"), number(t, "depth_index"))).collect()
     }
 
     /// Sends a line to the control socket, as a hand would.

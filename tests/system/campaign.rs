@@ -57,8 +57,7 @@ async fn a_small_campaign_stores_every_planned_trial_once() {
     let summary = complete(&lab, &run).await;
     assert_eq!(summary["settings"], json!([{"tips": 1, "stored": 12}, {"tips": 4, "stored": 12}]));
     assert_eq!(summary["retries"], 0);
-    let page = lab.get(&format!("/api/v1/runs/{run}/trials?limit=100")).await;
-    for trial in page["items"].as_array().unwrap() {
+    for trial in lab.items(&format!("/api/v1/runs/{run}/trials?limit=100")).await {
         assert_eq!(trial["flags"], json!([]), "{trial:#}");
     }
     let deep = lab.get(&format!("/api/v1/runs/{run}/trials?depth_mm__eq=3.75&tips__eq=4")).await;
@@ -82,9 +81,8 @@ async fn every_trial_has_its_twin(lab: &Lab, run: &str) {
     let all_there = |t: &Value| t["trials"] == TRIALS && t["pending"] == 0;
     let path = format!("/api/v1/runs/{run}/twins");
     assert_eq!(lab.eventually("all twins", &path, all_there).await["failures"], 0);
-    let deep =
-        lab.get(&format!("/api/v1/runs/{run}/trials?max_force_n__gt=15&voltages=true")).await;
-    for trial in deep["items"].as_array().unwrap() {
+    let deep = format!("/api/v1/runs/{run}/trials?max_force_n__gt=15&voltages=true");
+    for trial in lab.items(&deep).await {
         assert_eq!(trial["sim_voltages_v"].as_array().unwrap().len(), 784);
         assert!(trial["fvu"].as_f64().unwrap() < 0.5, "{} {}", trial["trial_id"], trial["fvu"]);
     }
@@ -429,8 +427,7 @@ async fn weights_are_placed_confirmed_measured_and_repeated() {
     let summary = lab.ended(&run).await;
     assert_eq!(summary["run"]["exit_status"], "success", "{summary:#}\n{:#}", lab.events().await);
     assert_eq!(summary["contact_counts"], json!([0, 0, 3, 3, 0, 0, 0]));
-    let page = lab.get(&format!("/api/v1/runs/{run}/trials?limit=100")).await;
-    for trial in page["items"].as_array().unwrap() {
+    for trial in lab.items(&format!("/api/v1/runs/{run}/trials?limit=100")).await {
         assert_eq!(trial["placed_by"], "virtual operator (local)");
         assert_eq!(trial["frame_count"], 5);
         assert_eq!(trial["forces_n"], json!([null, null, null, null, null, null]));

@@ -9,7 +9,7 @@ use tokio::time::sleep;
 use tokio_tungstenite::connect_async;
 use tokio_tungstenite::tungstenite::Message;
 
-use super::bench::{COMPUTES, Lab, SENSOR, http, rig_args};
+use super::bench::{COMPUTES, Lab, SENSOR, http, is_refused, rig_args};
 
 /// As fast as the wall: the readout sends thirty frames a second.
 const SPEED: f64 = 1.0;
@@ -102,9 +102,7 @@ async fn what_cannot_be_changes_nothing(lab: &Lab) {
         (SERVING, json!({ "what": "nobody" }), 404, "nobody"),
         (ROLL_BACK, json!({ "slot": "nowhere" }), 422, "nowhere"),
     ] {
-        let (found, problem) = lab.post(path, body).await;
-        assert_eq!(found, status, "{path}: {problem}");
-        assert!(problem["detail"].as_str().unwrap().contains(words), "{path}: {problem}");
+        is_refused(lab.post(path, body).await, status, words);
     }
     // JSON has no NaN; bytes have.
     let bytes: Vec<u8> = [f32::NAN; CHANNELS].iter().flat_map(|v| v.to_le_bytes()).collect();

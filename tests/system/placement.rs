@@ -11,7 +11,7 @@ use sim_core::calibration::{Calibration, Fitted, PiezoCalibration};
 use sim_core::sensor::Sensor;
 use virtual_rig::run::RigArgs;
 
-use super::bench::{Lab, SENSOR, WAITS, answered, file, http, rig_args};
+use super::bench::{Lab, SENSOR, WAITS, answered, file, http, is_refused, rig_args};
 
 /// Process seconds in a wall second.
 const SPEED: f64 = 10.0;
@@ -129,12 +129,10 @@ fn confirm(trial: u64) -> Value {
 
 /// Trials of a run by their index in the plan.
 async fn trials(lab: &Lab, run: &str) -> BTreeMap<u64, Value> {
-    let page = lab.get(&format!("/api/v1/runs/{run}/trials?limit=100")).await;
-    let trials = page["items"].as_array().unwrap().iter();
-    let trials: Vec<_> =
-        trials.map(|t| (t["configuration"].as_u64().unwrap(), t.clone())).collect();
+    let trials = lab.items(&format!("/api/v1/runs/{run}/trials?limit=100")).await;
     let count = trials.len();
-    let by_index: BTreeMap<u64, Value> = trials.into_iter().collect();
+    let by_index: BTreeMap<u64, Value> =
+        trials.into_iter().map(|t| (t["configuration"].as_u64().unwrap(), t)).collect();
     assert_eq!(by_index.len(), count, "a trial is stored twice");
     by_index
 }
@@ -249,13 +247,9 @@ async fn a_wrong_placement_is_refused_placed_anyway_repeated_and_the_run_resumes
     for trial in stored.values() {
         assert_eq!(trial["flags"], json!([]), "{trial:#}");
     }
-    let actions = lab.get(&format!("/api/v1/actions?run={run}&limit=1000")).await;
-    let refused = actions["items"]
-        .as_array()
-        .unwrap()
-        .iter()
-        .filter(|a| a["who"] == "virtual operator (local)" && a["accepted"] == false);
-    assert_eq!(refused.count(), 2, "{actions:#}");
+    let actions = lab.items(&format!("/api/v1/actions?run={run}&limit=1000")).await;
+    let is_its = |a: &&Value| a["who"] == "virtual operator (local)" && a["accepted"] == false;
+    assert_eq!(actions.iter().filter(is_its).count(), 2, "{actions:?}");
     let events = lab.events().await;
     let placed: Vec<_> = events
         .as_array()
@@ -323,9 +317,7 @@ async fn a_skin_alone_presses_nothing_and_is_checked() {
         configurations = 1\n";
     let body =
         json!({ "file": "hex.toml", "definition": definition, "sensor": SENSOR, "who": WHO });
-    let (status, problem) = lab.post("/api/v1/queue", body).await;
-    assert_eq!(status, 422, "{problem:#}");
-    assert!(problem["detail"].as_str().unwrap().contains("needs a stage"), "{problem:#}");
+    is_refused(lab.post("/api/v1/queue", body).await, 422, "needs a stage");
     lab.close().await;
 }
 
@@ -350,11 +342,7 @@ async fn under_a_stage_nothing_moves_during_a_manual_run_nor_after_it_before_tip
         // They would let the next run press at once.
         json!({ "action": "tips", "tips": 1 }),
     ] {
-        let (status, problem) = lab.post("/api/v1/rig/actions", action).await;
-        assert!(
-            status == 409 && problem["detail"].as_str().unwrap().contains("hands"),
-            "{problem}"
-        );
+        is_refused(lab.post("/api/v1/rig/actions", action).await, 409, "hands");
     }
 
     // A stop during the measurement: the placement is asked for again.

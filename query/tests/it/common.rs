@@ -72,44 +72,28 @@ impl Trials {
     }
 
     fn try_rows(&self) -> PolarsResult<DataFrame> {
-        let ids: Vec<u64> = self.ids().collect();
         let tips = |id: u64| (id % 4) as u32;
         let of = |salt: u64, id: u64| noise(id.wrapping_mul(31).wrapping_add(salt));
         let twin = |id: u64, value: f64| self.has_twin(id).then_some(value);
-        let at = ids.iter().map(|id| 1_800_000_000_000 + *id as i64 * 1500);
-        let at = Column::new("measured_at".into(), at.collect::<Vec<i64>>());
+        let ids = self.ids();
+        macro_rules! column {
+            ($name:literal, $of:expr) => {
+                Column::new($name.into(), ids.clone().map($of).collect::<Vec<_>>())
+            };
+        }
         let zone = TimeZone::opt_try_new(Some("UTC"))?;
         let mut columns = vec![
-            Column::new("trial_id".into(), ids.iter().map(|id| *id as i64).collect::<Vec<_>>()),
-            Column::new(
-                "scan_id".into(),
-                ids.iter().map(|id| (*id / 10_000) as i64 + 1).collect::<Vec<_>>(),
-            ),
-            Column::new(
-                "label".into(),
-                ids.iter().map(|id| format!("run-{}", id / 10_000 + 1)).collect::<Vec<_>>(),
-            ),
-            Column::new("tips".into(), ids.iter().map(|id| tips(*id)).collect::<Vec<_>>())
-                .cast(&DataType::UInt8)?,
-            Column::new("contact_count".into(), ids.iter().map(|id| tips(*id)).collect::<Vec<_>>())
-                .cast(&DataType::UInt8)?,
-            Column::new(
-                "max_force_n".into(),
-                ids.iter().map(|id| (of(1, *id) * 20.0) as f32).collect::<Vec<_>>(),
-            ),
-            Column::new(
-                "sim_model".into(),
-                ids.iter().map(|id| self.has_twin(*id).then_some("fem-1")).collect::<Vec<_>>(),
-            ),
-            Column::new(
-                "rmse_v".into(),
-                ids.iter().map(|id| twin(*id, of(2, *id) * 0.1)).collect::<Vec<_>>(),
-            ),
-            Column::new(
-                "fvu".into(),
-                ids.iter().map(|id| twin(*id, of(3, *id))).collect::<Vec<_>>(),
-            ),
-            at.cast(&DataType::Datetime(TimeUnit::Milliseconds, zone))?,
+            column!("trial_id", |id| id as i64),
+            column!("scan_id", |id| (id / 10_000) as i64 + 1),
+            column!("label", |id| format!("run-{}", id / 10_000 + 1)),
+            column!("tips", tips).cast(&DataType::UInt8)?,
+            column!("contact_count", tips).cast(&DataType::UInt8)?,
+            column!("max_force_n", |id| (of(1, id) * 20.0) as f32),
+            column!("sim_model", |id| self.has_twin(id).then_some("fem-1")),
+            column!("rmse_v", |id| twin(id, of(2, id) * 0.1)),
+            column!("fvu", |id| twin(id, of(3, id))),
+            column!("measured_at", |id| 1_800_000_000_000 + id as i64 * 1500)
+                .cast(&DataType::Datetime(TimeUnit::Milliseconds, zone))?,
         ];
         if self.channels > 0 {
             columns.push(self.contacts()?);

@@ -3,13 +3,18 @@
 
 use std::collections::BTreeMap;
 
-use palpate_words::query_lines::Form;
+use palpate_words::query_lines::{Form, Table};
 use polars::prelude::*;
 
 use crate::common::{BOUNDS, Folder, Trials, ask, table, tables, text, write};
 
 /// Trials 0 to 39; every tenth lacks a twin.
 const FEW: Trials = Trials { first: 0, count: 40, channels: 16, without_twin: 10 };
+
+/// The rows that a statement returns, as text.
+fn answer(sql: &str, known: &[Table]) -> String {
+    text(&ask(sql, known, BOUNDS).rows())
+}
 
 #[test]
 fn each_form_has_its_rows_and_columns() {
@@ -21,28 +26,19 @@ fn each_form_has_its_rows_and_columns() {
         let rows = ask(sql, &known, BOUNDS).rows();
         rows.get_column_names().iter().map(|name| name.as_str()).collect::<Vec<_>>().join(" ")
     };
-    let count =
-        |name: &str| text(&ask(&format!("SELECT count(*) FROM {name}"), &known, BOUNDS).rows());
-    assert_eq!(
-        columns("SELECT * FROM trials LIMIT 0"),
-        "trial_id scan_id label tips contact_count max_force_n sim_model rmse_v fvu measured_at contacts"
-    );
-    assert_eq!(
-        columns("SELECT * FROM contacts LIMIT 0"),
-        "trial_id scan_id x_mm y_mm force_n diameter_mm"
-    );
-    assert_eq!(
-        columns("SELECT * FROM frames LIMIT 0"),
-        "trial_id scan_id voltages_v sim_voltages_v"
-    );
-    assert_eq!(
-        columns("SELECT * FROM twins LIMIT 0"),
-        "trial_id scan_id sim_model rmse_v fvu sim_voltages_v"
-    );
-    assert_eq!(
-        columns("SELECT * FROM voltages LIMIT 0"),
-        "trial_id scan_id position injection pair voltage_v sim_voltage_v"
-    );
+    let count = |name: &str| answer(&format!("SELECT count(*) FROM {name}"), &known);
+    let of_trials =
+        "label tips contact_count max_force_n sim_model rmse_v fvu measured_at contacts";
+    for (table, wanted) in [
+        ("trials", of_trials),
+        ("contacts", "x_mm y_mm force_n diameter_mm"),
+        ("frames", "voltages_v sim_voltages_v"),
+        ("twins", "sim_model rmse_v fvu sim_voltages_v"),
+        ("voltages", "position injection pair voltage_v sim_voltage_v"),
+    ] {
+        let found = columns(&format!("SELECT * FROM {table} LIMIT 0"));
+        assert_eq!(found, format!("trial_id scan_id {wanted}"), "{table}");
+    }
     assert_eq!(count("trials"), "40");
     // Trial n has n mod 4 contacts.
     assert_eq!(count("contacts"), "60");
@@ -79,7 +75,7 @@ fn a_voltage_has_its_position_injection_and_pair_and_its_twin_if_there_is_one() 
         assert_eq!(simulated.get(row), twin);
     }
     let nulls = "SELECT count(*) FROM voltages WHERE sim_voltage_v IS NULL";
-    assert_eq!(text(&ask(nulls, &known, BOUNDS).rows()), "64");
+    assert_eq!(answer(nulls, &known), "64");
 }
 
 #[test]
@@ -93,21 +89,15 @@ fn skins_of_different_numbers_of_channels_are_in_one_table() {
     });
     let known = tables(&files, "run-3");
     let lengths = "SELECT array_length(voltages_v) AS n, count(*) AS frames FROM frames GROUP BY n ORDER BY n";
-    assert_eq!(text(&ask(lengths, &known, BOUNDS).rows()), "9 | 8\n10 | 8\n16 | 16");
+    assert_eq!(answer(lengths, &known), "9 | 8\n10 | 8\n16 | 16");
     // Ten channels are no square: they have a position only.
     let pairs = "SELECT trial_id, max(position) AS p, max(injection) AS i, max(pair) AS e \
                  FROM voltages WHERE trial_id IN (1, 101, 301) GROUP BY trial_id ORDER BY trial_id";
-    assert_eq!(
-        text(&ask(pairs, &known, BOUNDS).rows()),
-        "1 | 15 | 3 | 3\n101 | 8 | 2 | 2\n301 | 9 | null | null"
-    );
-    assert_eq!(text(&ask("SELECT count(*) FROM voltages", &known, BOUNDS).rows()), "408");
-    assert_eq!(
-        text(&ask("SELECT count(*), sum(tips) FROM trials", &known, BOUNDS).rows()),
-        "32 | 48"
-    );
+    assert_eq!(answer(pairs, &known), "1 | 15 | 3 | 3\n101 | 8 | 2 | 2\n301 | 9 | null | null");
+    assert_eq!(answer("SELECT count(*) FROM voltages", &known), "408");
+    assert_eq!(answer("SELECT count(*), sum(tips) FROM trials", &known), "32 | 48");
     let first = "SELECT trial_id FROM trials LIMIT 1";
-    assert_eq!(text(&ask(first, &known, BOUNDS).rows()), "0");
+    assert_eq!(answer(first, &known), "0");
 }
 
 #[test]
@@ -120,14 +110,14 @@ fn a_column_that_a_file_lacks_is_null_there() {
     write(&mut lacking, &part);
     let known = tables(&[whole.clone(), part.clone()], "run-3");
     let asked = "SELECT count(*) AS n, count(rmse_v) AS r, count(label) AS l FROM trials";
-    assert_eq!(text(&ask(asked, &known, BOUNDS).rows()), "80 | 36 | 40");
+    assert_eq!(answer(asked, &known), "80 | 36 | 40");
     let asked = "SELECT count(*) AS n, count(sim_voltages_v) AS s FROM frames";
-    assert_eq!(text(&ask(asked, &known, BOUNDS).rows()), "80 | 36");
+    assert_eq!(answer(asked, &known), "80 | 36");
     let asked = "SELECT count(*) AS n, count(sim_voltage_v) AS s FROM voltages";
-    assert_eq!(text(&ask(asked, &known, BOUNDS).rows()), "1280 | 576");
-    assert_eq!(text(&ask("SELECT count(*) FROM contacts", &known, BOUNDS).rows()), "60");
+    assert_eq!(answer(asked, &known), "1280 | 576");
+    assert_eq!(answer("SELECT count(*) FROM contacts", &known), "60");
     let asked = "SELECT trial_id FROM trials WHERE label IS NULL ORDER BY trial_id LIMIT 1";
-    assert_eq!(text(&ask(asked, &known, BOUNDS).rows()), "100");
+    assert_eq!(answer(asked, &known), "100");
 
     // A file of another type in a column of the same name becomes the wider one.
     let other = folder.file("other");
@@ -136,10 +126,7 @@ fn a_column_that_a_file_lacks_is_null_there() {
     rows.with_column(wider).unwrap();
     write(&mut rows, &other);
     let known = [table("trials", Form::Trials, &[whole, other])];
-    assert_eq!(
-        text(&ask("SELECT count(*), sum(tips) FROM trials", &known, BOUNDS).rows()),
-        "80 | 120"
-    );
+    assert_eq!(answer("SELECT count(*), sum(tips) FROM trials", &known), "80 | 120");
     // A table without rows has its columns.
     let none = folder.file("none");
     write(&mut FEW.rows().head(Some(0)), &none);

@@ -12,8 +12,9 @@ use sim_core::calculix::{deck, node_number};
 use sim_core::deformation::{Deformation, NodeForce};
 use sim_core::mesh::Mesh;
 use sim_core::sensor::Sensor;
+use tempfile::tempdir;
 
-use super::tools::{Folder, available};
+use super::tools::available;
 use super::{model, point_at, press, sensor};
 
 /// Beyond the printed digits, relative to the largest displacement.
@@ -80,7 +81,7 @@ fn the_whole_skin_agrees_with_calculix_and_a_broken_twin_does_not() {
     if !available("ccx") {
         return;
     }
-    let (folder, mesh, forces) = (Folder::new("calculix"), model().mesh(), load());
+    let (folder, mesh, forces) = (tempdir().unwrap(), model().mesh(), load());
     let printed = solve(folder.path(), mesh, &forces);
     let ours = Deformation::solve(mesh, &forces).unwrap();
     let [plain, beyond] = differences(mesh, &ours, &printed);

@@ -9,8 +9,9 @@ use rand_chacha::ChaCha8Rng;
 use sim_core::forward::{Contact, Workspace};
 use sim_core::network::SheetNetwork;
 use sim_core::spice::{LoadedCircuit, netlist};
+use tempfile::tempdir;
 
-use super::tools::{Folder, available};
+use super::tools::available;
 use super::{model, point_at, press, sensor};
 
 /// The largest relative difference that is allowed.
@@ -57,7 +58,7 @@ fn difference(
 
 /// The largest difference over random trials; each with one random injection, or with all.
 fn worst_of_trials(trials: usize, all_injections: bool) -> f64 {
-    let folder = Folder::new(if all_injections { "ngspice-all" } else { "ngspice" });
+    let folder = tempdir().unwrap();
     let network = model().network().unwrap();
     let mut rng = ChaCha8Rng::seed_from_u64(3);
     let mut work = Workspace::default();
@@ -95,7 +96,7 @@ fn an_untouched_and_a_heavily_loaded_skin_agree_with_ngspice() {
     if !available("ngspice") {
         return;
     }
-    let folder = Folder::new("ngspice-ends");
+    let folder = tempdir().unwrap();
     let network = model().network().unwrap();
     let mut work = Workspace::default();
     let heavy: Vec<_> = [(150.0, 150.0), (270.0, 280.0), (400.0, 420.0)]
@@ -115,7 +116,7 @@ fn twin_one_resistor_off_by_a_millionth_is_seen_by_ngspice() {
     if !available("ngspice") {
         return;
     }
-    let folder = Folder::new("ngspice-twin");
+    let folder = tempdir().unwrap();
     let mut network = model().network().unwrap();
     let mut work = Workspace::default();
     let point = point_at(270.0, 280.0);

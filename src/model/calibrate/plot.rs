@@ -40,12 +40,7 @@ fn draw_piezo(area: &Area<'_>, fit: &PiezoFit) -> Drawn {
     let (low, high) = measured.chain(ends).fold((f64::MAX, 0f64), |(l, h), v| (l.min(v), h.max(v)));
     let mut chart = framed(area, [14, 48, 84])
         .build_cartesian_2d(0.0..most * 1.03, (low / 1.5..high * 1.5).log_scale())?;
-    chart
-        .configure_mesh()
-        .x_label_formatter(&plain)
-        .y_label_formatter(&decade)
-        .named("compression (mm)", "resistance (ohm)")
-        .draw()?;
+    chart.configure_mesh().named("compression (mm)", &plain, "resistance (ohm)", &decade).draw()?;
     let ring = |ends: &dyn Fn(usize) -> [f64; 2]| -> Vec<(f64, f64)> {
         let upper = bands.iter().enumerate().map(|(n, (x, _))| (*x, ends(n)[1]));
         let lower = bands.iter().enumerate().rev().map(|(n, (x, _))| (*x, ends(n)[0]));
@@ -106,9 +101,7 @@ fn draw_foam(area: &Area<'_>, fit: &FoamFit) -> Drawn {
         framed(area, [14, 48, 70]).build_cartesian_2d(0.0..most_n * 1.05, low * 1.1..high * 1.1)?;
     chart
         .configure_mesh()
-        .x_label_formatter(&plain)
-        .y_label_formatter(&plain)
-        .named("force on the tip (N)", "displacement (mm)")
+        .named("force on the tip (N)", &plain, "displacement (mm)", &plain)
         .draw()?;
     for (n, (name, rows)) in series(fit).into_iter().enumerate() {
         let colour = COLOURS[1 + n % (COLOURS.len() - 1)];

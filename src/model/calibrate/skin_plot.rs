@@ -108,9 +108,7 @@ fn distributions(area: &Area<'_>, fitted: &CalibratedSkin) -> Drawn {
         .build_cartesian_2d((low..high).log_scale(), 0.0..100.0)?;
     chart
         .configure_mesh()
-        .x_label_formatter(&plain)
-        .y_label_formatter(&whole)
-        .named("FVU", "share of trials below (%)")
+        .named("FVU", &plain, "share of trials below (%)", &whole)
         .axis_desc_style(SMALL)
         .draw()?;
     for (name, fvus, colour) in [("before", &before, BEFORE), ("after", &after, AFTER)] {

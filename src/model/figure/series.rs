@@ -125,11 +125,7 @@ impl Chart {
             Places::Names(names) => names.len().clamp(2, AXIS_NAMES_MAX) * 2 + 1,
         };
         let mut frame = chart.configure_mesh();
-        frame
-            .x_labels(labels)
-            .x_label_formatter(&name)
-            .y_label_formatter(&plain)
-            .named(&self.x_name, &self.y_name);
+        frame.x_labels(labels).named(&self.x_name, &name, &self.y_name, &plain);
         if self.marks == Marks::Bars {
             frame.disable_x_mesh();
         }

@@ -32,15 +32,23 @@ const DIVERGING: [RGBColor; 3] =
     [RGBColor(33, 102, 172), RGBColor(247, 247, 247), RGBColor(178, 24, 43)];
 
 /// Lines and texts of the axes of every figure.
-pub trait AxesStyle {
+pub trait AxesStyle<'b, X: Ranged, Y: Ranged> {
     /// Sets them; what is set afterwards differs from other figures.
     fn styled(&mut self) -> &mut Self;
 
-    /// Sets them, and the names of both axes, each with its unit.
-    fn named(&mut self, x: impl Into<String>, y: impl Into<String>) -> &mut Self;
+    /// Sets them, and for both axes the name with its unit and the text of a number.
+    fn named(
+        &mut self,
+        x: impl Into<String>,
+        x_text: &'b dyn Fn(&X::ValueType) -> String,
+        y: impl Into<String>,
+        y_text: &'b dyn Fn(&Y::ValueType) -> String,
+    ) -> &mut Self;
 }
 
-impl<X: Ranged, Y: Ranged, DB: DrawingBackend> AxesStyle for MeshStyle<'_, '_, X, Y, DB> {
+impl<'b, X: Ranged, Y: Ranged, DB: DrawingBackend> AxesStyle<'b, X, Y>
+    for MeshStyle<'_, 'b, X, Y, DB>
+{
     fn styled(&mut self) -> &mut Self {
         self.light_line_style(TRANSPARENT)
             .bold_line_style(BLACK.mix(0.10))
@@ -48,8 +56,14 @@ impl<X: Ranged, Y: Ranged, DB: DrawingBackend> AxesStyle for MeshStyle<'_, '_, X
             .axis_desc_style(TEXT)
     }
 
-    fn named(&mut self, x: impl Into<String>, y: impl Into<String>) -> &mut Self {
-        self.x_desc(x).y_desc(y).styled()
+    fn named(
+        &mut self,
+        x: impl Into<String>,
+        x_text: &'b dyn Fn(&X::ValueType) -> String,
+        y: impl Into<String>,
+        y_text: &'b dyn Fn(&Y::ValueType) -> String,
+    ) -> &mut Self {
+        self.x_desc(x).x_label_formatter(x_text).y_desc(y).y_label_formatter(y_text).styled()
     }
 }
 

@@ -111,9 +111,7 @@ fn draw_panel(
     chart
         .configure_mesh()
         .x_labels((right - left) as usize + 1)
-        .x_label_formatter(&whole)
-        .y_label_formatter(&plain)
-        .named(x, y)
+        .named(x, &whole, y, &plain)
         .label_style(TINY)
         .axis_desc_style(SMALL)
         .draw()?;

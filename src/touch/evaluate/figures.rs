@@ -190,9 +190,7 @@ fn counts(area: &Area<'_>, lines: &[(u8, Vec<Bin>)], width_n: f64, end_n: f64) -
         .configure_mesh()
         .disable_x_mesh()
         .y_labels(4)
-        .x_label_formatter(&whole)
-        .y_label_formatter(&whole)
-        .named("largest force of a trial (N)", "trials")
+        .named("largest force of a trial (N)", &whole, "trials", &whole)
         .draw()?;
     chart.draw_series(bars)?;
     Ok(())
@@ -234,9 +232,7 @@ pub fn boxes(
             .configure_mesh()
             .disable_x_mesh()
             .x_labels(7)
-            .x_label_formatter(&whole)
-            .y_label_formatter(&plain)
-            .named("contacts of a trial", quantity.axis())
+            .named("contacts of a trial", &whole, quantity.axis(), &plain)
             .draw()?;
         for (contacts, trials, b, scale) in boxes {
             let x = f64::from(contacts);

@@ -111,9 +111,7 @@ pub fn residuals(heading: &Heading, of: &Residuals) -> FigureResult<String> {
             framed(area, [18, 50, 70]).build_cartesian_2d(0.0..mean_v.len() as f64, -most..most)?;
         chart
             .configure_mesh()
-            .x_label_formatter(&whole)
-            .y_label_formatter(&plain)
-            .named("reading (28 for each injection)", "transfer error (mV)")
+            .named("reading (28 for each injection)", &whole, "transfer error (mV)", &plain)
             .draw()?;
         let spread = mean_v.iter().zip(sd_v).enumerate().map(|(at, (mean, sd))| {
             let x = at as f64 + 0.5;

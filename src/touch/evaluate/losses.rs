@@ -64,9 +64,7 @@ pub fn curve(heading: &Heading, unit: &str, losses: &[EpochLoss]) -> FigureResul
         chart
             .configure_mesh()
             .x_labels((right as usize).clamp(2, 12))
-            .x_label_formatter(&whole)
-            .y_label_formatter(&decade)
-            .named("epoch", unit)
+            .named("epoch", &whole, unit, &decade)
             .draw()?;
         for (name, pick, colour) in picks {
             let places = places(pick);

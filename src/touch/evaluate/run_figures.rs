@@ -48,12 +48,7 @@ fn numbers<'a, 'b>(
     [across, up]: [Range<f64>; 2],
 ) -> Drawn<NumberChart<'a, 'b>> {
     let mut chart = framed(area, [18, 50, 78]).build_cartesian_2d(across, up)?;
-    chart
-        .configure_mesh()
-        .x_label_formatter(&plain)
-        .y_label_formatter(&plain)
-        .named(x, y)
-        .draw()?;
+    chart.configure_mesh().named(x, &plain, y, &plain).draw()?;
     Ok(chart)
 }
 
@@ -100,9 +95,7 @@ pub fn contacts(heading: &Heading, contacts: &Contacts) -> FigureResult<String> 
             .configure_mesh()
             .disable_x_mesh()
             .x_labels(CONTACTS_SHOWN)
-            .x_label_formatter(&whole)
-            .y_label_formatter(&whole)
-            .named("contacts", "trials")
+            .named("contacts", &whole, "trials", &whole)
             .draw()?;
         let shown = [(contacts.name.as_str(), here)].into_iter();
         let shown = shown.chain(published.map(|(name, all)| (name.as_str(), *all)));
@@ -151,9 +144,7 @@ pub fn histogram(
         chart
             .configure_mesh()
             .disable_x_mesh()
-            .x_label_formatter(&plain)
-            .y_label_formatter(&whole)
-            .named(format!("{x} (the last bin holds all above)"), "trials")
+            .named(format!("{x} (the last bin holds all above)"), &plain, "trials", &whole)
             .draw()?;
         chart.draw_series(counts.iter().enumerate().filter(|(_, count)| **count > 0).map(
             |(bin, count)| {

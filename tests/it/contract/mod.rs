@@ -60,15 +60,7 @@ async fn a_typed_typescript_client_makes_real_calls() {
     generate.args([DESCRIPTION, "--output", "api.d.ts"]);
     succeeds(generate).await;
     let mut compile = tool("tsc");
-    compile.args([
-        "--strict",
-        "--target",
-        "es2022",
-        "--module",
-        "nodenext",
-        "--skipLibCheck",
-        "client.ts",
-    ]);
+    compile.args("--strict --target es2022 --module nodenext --skipLibCheck client.ts".split(' '));
     succeeds(compile).await;
     let mut run = Command::new("node");
     run.current_dir(folder.path("")).args([

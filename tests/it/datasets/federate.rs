@@ -2,7 +2,7 @@
 //! Without pandas and pyarrow the part that reads with them reports that it was skipped; with
 //! `PALPATE_REQUIRE_TOOLS=1` it fails instead.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::atomic::Ordering::Relaxed;
@@ -23,7 +23,7 @@ use serde_json::{Value, json};
 use tokio::net::TcpListener;
 
 use super::filled::{Filled, fill, folder, new_run, press_run, store};
-use crate::support::{self, SENSOR, command, finished, succeeded};
+use crate::support::{self, SENSOR, command, files, finished, succeeded};
 
 /// Rows of `real` in a filled folder.
 const REAL: u64 = 235;
@@ -76,20 +76,6 @@ async fn add_run(data: &Path, run: NewRun) {
     let store = store(data).await;
     press_run(&store, run, 2, 1, 4..7, &mut ChaCha8Rng::seed_from_u64(9)).await;
     store.close().await;
-}
-
-/// sha256 of each file of a folder and of those below.
-fn files(folder: &Path) -> BTreeMap<PathBuf, String> {
-    let mut found = BTreeMap::new();
-    for entry in std::fs::read_dir(folder).unwrap() {
-        let path = entry.unwrap().path();
-        if path.is_dir() {
-            found.extend(files(&path));
-        } else {
-            found.insert(path.clone(), sha256_hex(std::fs::read(&path).unwrap()));
-        }
-    }
-    found
 }
 
 fn table(out: &Path, rig: &str) -> PathBuf {

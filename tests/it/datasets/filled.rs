@@ -23,7 +23,8 @@ use serde_json::{Value, json};
 use tokio::sync::OnceCell;
 
 use crate::support::{
-    SENSOR, VIRTUAL_RIG, answered, copy_folder, http, sensor, serve_options, until, with_responses,
+    SENSOR, VIRTUAL_RIG, answered, copy_folder, http, is_refused, sensor, serve_options, until,
+    with_responses,
 };
 
 /// Configurations of the Real-Hex run; each third is one that was drawn before.
@@ -317,6 +318,11 @@ impl Filled {
         serde_json::from_str(&text).unwrap()
     }
 
+    /// The items of a page.
+    pub async fn items(&self, path: &str) -> Vec<Value> {
+        self.get(path).await["items"].as_array().unwrap().clone()
+    }
+
     /// Wall time of the last use of the dataset or the export at this path.
     pub async fn used_at(&self, path: &str) -> Timestamp {
         self.get(path).await["last_used_at"].as_str().unwrap().parse().unwrap()
@@ -350,8 +356,7 @@ impl Filled {
 
     /// A POST that must be refused with this status and these words.
     pub async fn refuses(&self, path: &str, body: Value, expected: u16, words: &str) {
-        let problem = self.posted(path, body, expected).await;
-        assert!(problem["detail"].as_str().unwrap().contains(words), "{words}: {problem}");
+        is_refused(self.post(path, body).await, expected, words);
     }
 
     /// Makes a key: its number, and its secret.

@@ -1,18 +1,18 @@
 //! The same trials in every format that imports read, through the command, row by row. Without numpy, pandas
 //! and scipy the test reports that it was skipped; with `PALPATE_REQUIRE_TOOLS=1` it fails instead.
 
-use std::path::PathBuf;
+use std::path::Path;
 use std::process::{Command, Output};
 
-use serde_json::Value;
+use serde_json::{Value, json};
 
-use super::filled::{Filled, folder};
-use crate::support::{self, PALPATE};
+use super::filled::Filled;
+use crate::support::{self, Folder, PALPATE};
 
 const FILES: [&str; 5] = ["trials.parquet", "trials.csv", "trials.npz", "trials.mat", "packed.mat"];
 
 /// Runs `palpate dataset import` on a file of `files`.
-async fn import(lab: &Filled, files: &PathBuf, file: &str, more: &[&str]) -> Output {
+async fn import(lab: &Filled, files: &Path, file: &str, more: &[&str]) -> Output {
     let mut command = Command::new(PALPATE);
     command.current_dir(files).args(["dataset", "import", file, "--sensor", "pad.toml"]);
     command.args(more).args(["--url", &lab.url("")]);
@@ -20,17 +20,16 @@ async fn import(lab: &Filled, files: &PathBuf, file: &str, more: &[&str]) -> Out
 }
 
 /// Writes the files of a script of `python/`; `None` without its modules.
-async fn written(script: &str, name: &str) -> Option<PathBuf> {
+async fn written(script: &str, name: &str) -> Option<Folder> {
     let python = support::python("pandas, numpy, scipy, pyarrow")?;
-    let files = folder(name);
+    let files = Folder::new(name);
     support::printed(python, &format!("datasets/python/{script}"), &[&files]).await;
     Some(files)
 }
 
 /// Trials of a run without what differs between two imports of equal trials.
 async fn trials(lab: &Filled, run: i64) -> Vec<Value> {
-    let page = lab.get(&format!("/api/v1/runs/{run}/trials?voltages=true")).await;
-    let mut trials = page["items"].as_array().unwrap().clone();
+    let mut trials = lab.items(&format!("/api/v1/runs/{run}/trials?voltages=true")).await;
     for trial in &mut trials {
         for key in ["trial_id", "run", "scan_id", "experiment"] {
             trial.as_object_mut().unwrap().remove(key);
@@ -41,7 +40,7 @@ async fn trials(lab: &Filled, run: i64) -> Vec<Value> {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn every_format_gives_the_same_trials() {
-    let Some(files) = written("formats.py", "formats-files").await else { return };
+    let Some(files) = written("formats.py", "formats").await else { return };
     let lab = Filled::open("formats").await;
     let mut wanted: Option<Vec<Value>> = None;
     for file in FILES {
@@ -51,7 +50,7 @@ async fn every_format_gives_the_same_trials() {
         let made: Value = serde_json::from_slice(&output.stdout).unwrap();
         assert_eq!(
             (&made["trials"], &made["columns_left_out"]),
-            (&5.into(), &serde_json::json!(["weather"])),
+            (&5.into(), &json!(["weather"])),
             "{file}"
         );
         let found = trials(&lab, made["run"]["scan_id"].as_i64().unwrap()).await;
@@ -78,25 +77,22 @@ async fn every_format_gives_the_same_trials() {
     // A format is recognised by the content: the name does not matter, and HDF5 is named.
     std::fs::write(files.join("new.mat"), b"MATLAB 7.3 MAT-file, and so on").unwrap();
     let output = import(&lab, &files, "new.mat", &[]).await;
-    let errors = String::from_utf8_lossy(&output.stderr);
-    assert!(output.status.code() == Some(2) && errors.contains("'-v7'"), "{errors}");
+    support::not_done(&output, 2, "'-v7'");
     lab.close().await;
-    std::fs::remove_dir_all(files).unwrap();
 }
 
 /// Makes a dataset of all trials of these runs with a split: the status and the answer.
 async fn split(lab: &Filled, name: &str, runs: &[&str], split: Value) -> (u16, Value) {
-    let definition = serde_json::json!({ "name": name, "task": "trials", "runs": runs,
+    let definition = json!({ "name": name, "task": "trials", "runs": runs,
         "untouched": "keep", "split": split });
-    lab.post("/api/v1/datasets", serde_json::json!({ "definition": definition })).await
+    lab.post("/api/v1/datasets", json!({ "definition": definition })).await
 }
 
 /// Part of each row of a dataset, by experiment and configuration.
 async fn parts(lab: &Filled, made: &Value) -> Vec<(String, u64, String)> {
     let id = made["id"].as_str().unwrap_or_else(|| panic!("{made}"));
     let path = format!("/api/v1/datasets/{id}/rows?columns=experiment,configuration,split");
-    let page = lab.get(&path).await;
-    let rows = page["items"].as_array().unwrap().iter();
+    let rows = lab.items(&path).await.into_iter();
     let text = |value: &Value| value.as_str().unwrap_or_default().to_owned();
     rows.map(|row| {
         (text(&row["experiment"]), row["configuration"].as_u64().unwrap(), text(&row["split"]))
@@ -116,7 +112,7 @@ fn table(trials: u32, split: &str) -> String {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_split_of_the_file_and_a_split_by_run_are_obeyed() {
     let lab = Filled::open("imported-splits").await;
-    let files = folder("imported-splits-files");
+    let files = Folder::new("imported-splits");
     let pad = "name = \"pad\"\nchannels = 6\nwidth_mm = 100\nheight_mm = 100\n";
     std::fs::write(files.join("pad.toml"), pad).unwrap();
     let some = "v0,v1,v2,v3,v4,v5,x_mm,y_mm,split\n0,1,2,3,4,5,1,1,test\n0,1,2,3,4,5,1,1,train\n\
@@ -126,22 +122,19 @@ async fn a_split_of_the_file_and_a_split_by_run_are_obeyed() {
         support::succeeded(&import(&lab, &files, &format!("{name}.csv"), &[]).await);
     }
     // Equal positions are in different parts, as the file states.
-    let (status, made) =
-        split(&lab, "imported", &["some"], serde_json::json!({ "by": "imported" })).await;
+    let (status, made) = split(&lab, "imported", &["some"], json!({ "by": "imported" })).await;
     assert_eq!(
         (status, &made["report"]["left_out"]),
-        (200, &serde_json::json!({ "no imported part": 1 })),
+        (200, &json!({ "no imported part": 1 })),
         "{made}"
     );
     let found: Vec<String> = parts(&lab, &made).await.into_iter().map(|(.., part)| part).collect();
     assert_eq!(found, ["test", "train", "validation"]);
-    let (status, refused) =
-        split(&lab, "none", &["one"], serde_json::json!({ "by": "imported" })).await;
+    let (status, refused) = split(&lab, "none", &["one"], json!({ "by": "imported" })).await;
     let detail = refused["detail"].as_str().unwrap();
     assert!(status != 200 && detail.contains("a column split with train"), "{status} {refused}");
     // Leave one batch out: the named run is the test part, and the other is divided.
-    let by =
-        |tests: &str| serde_json::json!({ "by": "run", "ratio": [3, 1, 1], "test_runs": [tests] });
+    let by = |tests: &str| json!({ "by": "run", "ratio": [3, 1, 1], "test_runs": [tests] });
     let (status, made) = split(&lab, "left-out", &["one", "two"], by("two")).await;
     assert_eq!(status, 200, "{made}");
     let found = parts(&lab, &made).await;
@@ -155,15 +148,10 @@ async fn a_split_of_the_file_and_a_split_by_run_are_obeyed() {
         [count("two", "train"), count("two", "validation"), count("two", "test")],
         [0, 0, 30]
     );
-    let (status, refused) = split(&lab, "unknown", &["one"], by("two")).await;
-    let detail = refused["detail"].as_str().unwrap();
-    assert!(
-        status == 400 && detail.contains("split.test_runs = two: must be one of"),
-        "{status} {refused}"
-    );
-    let (status, refused) = split(&lab, "all", &["two"], by("two")).await;
-    let detail = refused["detail"].as_str().unwrap();
-    assert!(status == 400 && detail.contains("must leave at least one"), "{status} {refused}");
+    let unknown = split(&lab, "unknown", &["one"], by("two")).await;
+    support::is_refused(unknown, 400, "split.test_runs = two: must be one of");
+    let all = split(&lab, "all", &["two"], by("two")).await;
+    support::is_refused(all, 400, "must leave at least one");
     // Equal tags are in the same part, rows without a tag are excluded, and tags are conditions.
     let mut tagged = "v0,v1,v2,v3,v4,v5,x_mm,y_mm,tag\n".to_owned();
     for n in 0..50 {
@@ -172,17 +160,15 @@ async fn a_split_of_the_file_and_a_split_by_run_are_obeyed() {
     }
     std::fs::write(files.join("tagged.csv"), tagged).unwrap();
     support::succeeded(&import(&lab, &files, "tagged.csv", &[]).await);
-    let (status, made) =
-        split(&lab, "by-tag", &["tagged"], serde_json::json!({ "by": "tag" })).await;
+    let (status, made) = split(&lab, "by-tag", &["tagged"], json!({ "by": "tag" })).await;
     assert_eq!(
         (status, &made["report"]["left_out"]),
-        (200, &serde_json::json!({ "no imported tag": 5 })),
+        (200, &json!({ "no imported tag": 5 })),
         "{made}"
     );
     let path = "/api/v1/datasets/by-tag/rows?columns=imported_tag,split&limit=100";
-    let page = lab.get(path).await;
     let mut part_of = std::collections::BTreeMap::new();
-    for row in page["items"].as_array().unwrap() {
+    for row in lab.items(path).await {
         let part = part_of.entry(row["imported_tag"].to_string()).or_insert(row["split"].clone());
         assert_eq!(*part, row["split"], "{row}");
     }
@@ -190,8 +176,7 @@ async fn a_split_of_the_file_and_a_split_by_run_are_obeyed() {
     assert_eq!((part_of.len(), parts.len()), (9, 3), "{part_of:?}");
     let path = "/api/v1/datasets/by-tag/rows?imported_tag=tip%203&limit=100";
     assert_eq!(lab.get(path).await["items"].as_array().unwrap().len(), 5);
-    let (status, refused) =
-        split(&lab, "no-tags", &["one"], serde_json::json!({ "by": "tag" })).await;
+    let (status, refused) = split(&lab, "no-tags", &["one"], json!({ "by": "tag" })).await;
     let detail = refused["detail"].as_str().unwrap();
     assert!(status != 200 && detail.contains("needs a column tag"), "{status} {refused}");
     // A part that is none is refused with its row.
@@ -200,13 +185,12 @@ async fn a_split_of_the_file_and_a_split_by_run_are_obeyed() {
     let errors = String::from_utf8_lossy(&output.stderr).into_owned();
     assert!(errors.contains("split = training: must be train, validation or test"), "{errors}");
     lab.close().await;
-    std::fs::remove_dir_all(files).unwrap();
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_dry_run_shows_what_was_understood_and_stores_nothing() {
     let lab = Filled::open("dry-run").await;
-    let files = folder("dry-run-files");
+    let files = Folder::new("dry-run");
     let pad = "name = \"pad\"\nchannels = 3\nwidth_mm = 100\nheight_mm = 100\n";
     std::fs::write(files.join("pad.toml"), pad).unwrap();
     let text = "v0,v1,v2,x_mm,y_mm,force_n,weather,split\n0.5,,-1.5,10,20,2.5,rain,train\n1,2,3,,,,sun,test\n";
@@ -236,17 +220,14 @@ async fn a_dry_run_shows_what_was_understood_and_stores_nothing() {
     assert_eq!(runs().await, before + 1);
     std::fs::write(files.join("counts.csv"), text.replace("-1.5", "4096")).unwrap();
     let output = import(&lab, &files, "counts.csv", &["--dry-run"]).await;
-    let errors = String::from_utf8_lossy(&output.stderr);
-    let wanted = "row 0, voltages_v[2] = 4096: must be from -1000 to 1000 V";
-    assert!(output.status.code() == Some(2) && errors.contains(wanted), "{errors}");
+    support::not_done(&output, 2, "row 0, voltages_v[2] = 4096: must be from -1000 to 1000 V");
     lab.close().await;
-    std::fs::remove_dir_all(files).unwrap();
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn positions_of_a_robot_become_positions_on_the_skin() {
     let lab = Filled::open("coordinates").await;
-    let files = folder("coordinates-files");
+    let files = Folder::new("coordinates");
     let pad = "name = \"pad\"\nchannels = 3\nwidth_mm = 100\nheight_mm = 80\n";
     std::fs::write(files.join("pad.toml"), pad).unwrap();
     // The robot counts in metres from the corner opposite to the skin's.
@@ -268,9 +249,6 @@ async fn positions_of_a_robot_become_positions_on_the_skin() {
     );
     std::fs::write(files.join("map.toml"), "rotate_deg = 400\n").unwrap();
     let output = import(&lab, &files, "robot.csv", &["--coordinates", "map.toml"]).await;
-    let errors = String::from_utf8_lossy(&output.stderr).into_owned();
-    let wanted = "rotate_deg: must be from -360 to 360";
-    assert!(output.status.code() == Some(2) && errors.contains(wanted), "{errors}");
+    support::not_done(&output, 2, "rotate_deg: must be from -360 to 360");
     lab.close().await;
-    std::fs::remove_dir_all(files).unwrap();
 }

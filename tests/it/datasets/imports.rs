@@ -9,7 +9,7 @@ use arrow_buffer::{NullBuffer, OffsetBuffer};
 use arrow_schema::{DataType, Field, Fields};
 use parquet::arrow::ArrowWriter;
 use reqwest::multipart::{Form, Part};
-use serde_json::Value;
+use serde_json::{Value, json};
 
 use palpate::dataset::build::Progress;
 use palpate::dataset::error::{DatasetError, Product};
@@ -18,8 +18,8 @@ use palpate::dataset::import::{Import, import as import_file};
 use palpate::dataset::space::KEPT_FREE_BYTES;
 use palpate::store::{Label, TrialQuery};
 
-use super::filled::{Filled, folder, store};
-use crate::support::answered;
+use super::filled::{Filled, store};
+use crate::support::{Folder, answered, is_refused};
 
 pub const PAD: &str = "name = \"pad\"\nchannels = 4\nwidth_mm = 100\nheight_mm = 80\n";
 
@@ -95,11 +95,9 @@ async fn another_skins_trials_are_a_run_like_any_other() {
     );
     let run = made["run"]["scan_id"].as_i64().unwrap();
     // The same upload again, after a lost answer, doubles nothing.
-    let (status, again) = import(&lab, parquet(good()), PAD).await;
-    let words = again["detail"].as_str().unwrap();
-    assert!(status == 409 && words.contains(&format!("imported as run {run}")), "{again}");
-    let page = lab.get(&format!("/api/v1/runs/{run}/trials?voltages=true")).await;
-    let trials = page["items"].as_array().unwrap();
+    let again = import(&lab, parquet(good()), PAD).await;
+    is_refused(again, 409, &format!("imported as run {run}"));
+    let trials = lab.items(&format!("/api/v1/runs/{run}/trials?voltages=true")).await;
     assert_eq!(trials.len(), 3);
     assert_eq!(trials[0]["contacts"][0]["force_n"], 2.5);
     assert!(trials[1]["contacts"][0].get("force_n").is_none());
@@ -120,22 +118,22 @@ async fn another_skins_trials_are_a_run_like_any_other() {
     assert!(map.len() == 1600 && (map.iter().sum::<f64>() - 2.5).abs() < 1e-4, "{rows}");
     // It joins datasets only when it is named, and never those of another label unasked.
     assert_eq!(lab.make("real").await["report"]["channels"], 784);
-    let both = serde_json::json!({ "definition": { "name": "both", "task": "real",
+    let both = json!({ "definition": { "name": "both", "task": "real",
         "runs": ["1", run.to_string()] } });
     lab.refuses("/api/v1/datasets", both, 409, "run 1 is virtual").await;
-    let own = serde_json::json!({ "definition": { "name": "pad", "task": "real",
+    let own = json!({ "definition": { "name": "pad", "task": "real",
         "runs": ["pad-study"] } });
     let (status, own) = lab.post("/api/v1/datasets", own).await;
     assert_eq!((status, &own["rows"]), (200, &2.into()), "{own}");
     // A deadband removes the contact of 2.5 N, and keeps the one whose force is not known.
-    let heavy = serde_json::json!({ "definition": { "name": "pad-heavy", "task": "real",
+    let heavy = json!({ "definition": { "name": "pad-heavy", "task": "real",
         "runs": ["pad-study"], "deadband_n": 3.0, "untouched": "keep" } });
     let (status, heavy) = lab.post("/api/v1/datasets", heavy).await;
     assert_eq!((status, &heavy["rows"]), (200, &3.into()), "{heavy}");
     let path = "/api/v1/datasets/pad-heavy/rows?columns=contact_count,contacts,max_force_n";
     let rows = lab.get(path).await["items"].clone();
     let found = |row: usize| (rows[row]["contact_count"].clone(), rows[row]["contacts"].clone());
-    assert_eq!(found(0), (0.into(), serde_json::json!([])), "{rows}");
+    assert_eq!(found(0), (0.into(), json!([])), "{rows}");
     assert_eq!((&found(1).0, &rows[0]["max_force_n"]), (&1.into(), &2.5.into()), "{rows}");
     lab.close().await;
 }
@@ -164,15 +162,13 @@ async fn raw_frames_are_stored_and_served_as_those_of_a_rig() {
     let (status, made) = import(&lab, parquet(all), PAD).await;
     assert_eq!(status, 201, "{made}");
     let run = made["run"]["scan_id"].as_i64().unwrap();
-    let page = lab.get(&format!("/api/v1/runs/{run}/trials?voltages=true")).await;
-    let trials = page["items"].as_array().unwrap();
+    let trials = lab.items(&format!("/api/v1/runs/{run}/trials?voltages=true")).await;
     let stated = |n: usize| (&trials[n]["frame_count"], &trials[n]["voltages_v"]);
-    assert_eq!(stated(0), (&2.into(), &serde_json::json!([0.5, 0.5, -0.5, 0.25])));
-    assert_eq!(stated(1), (&1.into(), &serde_json::json!([1.0, 1.0, 1.0, 1.0])));
-    assert_eq!(stated(2), (&0.into(), &serde_json::json!([0.0, 0.0, 0.0, 0.125])));
+    assert_eq!(stated(0), (&2.into(), &json!([0.5, 0.5, -0.5, 0.25])));
+    assert_eq!(stated(1), (&1.into(), &json!([1.0, 1.0, 1.0, 1.0])));
+    assert_eq!(stated(2), (&0.into(), &json!([0.0, 0.0, 0.0, 0.125])));
     let path = |n: usize| format!("/api/v1/trials/{}/frames", trials[n]["trial_id"]);
-    let served = lab.get(&path(0)).await;
-    let served = served["items"].as_array().unwrap();
+    let served = lab.items(&path(0)).await;
     assert_eq!(served.len(), 2);
     let volts: Vec<f64> = serde_json::from_value(served[1]["voltages_v"].clone()).unwrap();
     for (volt, wanted) in volts.iter().zip([0.75, 0.5, -0.75, 0.5]) {
@@ -183,9 +179,7 @@ async fn raw_frames_are_stored_and_served_as_those_of_a_rig() {
     assert_eq!(served[1]["counts"][0], 32_767);
     lab.refuses_get(&path(2), 404, "no raw frames").await;
     // Without the mean the third trial has no frame.
-    let (status, body) = import(&lab, parquet(columns()), PAD).await;
-    let detail = body["detail"].as_str().unwrap_or_default();
-    assert!(status == 400 && detail.contains("row 2, voltages_v = null"), "{body}");
+    is_refused(import(&lab, parquet(columns()), PAD).await, 400, "row 2, voltages_v = null");
     lab.close().await;
 }
 
@@ -228,10 +222,7 @@ async fn what_cannot_be_used_is_named_and_nothing_is_stored() {
             "width_mm = 0",
         ),
     ] {
-        let (status, body) = import(&lab, file, sensor).await;
-        let detail = body["detail"].as_str().unwrap_or_default();
-        assert_eq!(status, 400, "{wanted}: {body}");
-        assert!(detail.contains(wanted), "{wanted}: {detail}");
+        is_refused(import(&lab, file, sensor).await, 400, wanted);
     }
     assert_eq!(lab.get("/api/v1/runs").await["items"].as_array().unwrap().len(), before);
     let uploads = std::fs::read_dir(lab.data.join("uploads")).unwrap().count();
@@ -253,13 +244,12 @@ async fn depths_of_a_configuration_stay_together_under_a_deadband() {
     let columns = vec![("voltages_v", frames(4, volts)), ("contacts", lists(&touches, [2; 40]))];
     let (status, made) = import(&lab, parquet(columns), PAD).await;
     assert_eq!(status, 201, "{made}");
-    let heavy = serde_json::json!({ "definition": { "name": "heavy", "task": "real",
+    let heavy = json!({ "definition": { "name": "heavy", "task": "real",
         "runs": ["pad-study"], "deadband_n": 3.0 } });
     let (status, made) = lab.post("/api/v1/datasets", heavy).await;
     assert_eq!((status, &made["rows"]), (200, &40.into()), "{made}");
     let path = "/api/v1/datasets/heavy/rows?columns=trial_id,split,contact_count&limit=100";
-    let page = lab.get(path).await;
-    let rows = page["items"].as_array().unwrap();
+    let rows = lab.items(path).await;
     for depths in rows.chunks(2) {
         assert_eq!(
             (&depths[0]["contact_count"], &depths[1]["contact_count"]),
@@ -287,7 +277,7 @@ fn request() -> Import {
 
 #[tokio::test]
 async fn a_file_that_is_imported_twice_at_once_is_one_run() {
-    let data = folder("import-twice");
+    let data = Folder::new("import-twice");
     let store = store(&data).await;
     let path = data.join("pad.parquet");
     std::fs::write(&path, parquet(good())).unwrap();
@@ -305,12 +295,11 @@ async fn a_file_that_is_imported_twice_at_once_is_one_run() {
     let refused = import_file(&store, &path, renamed, u64::MAX, &progress).await;
     assert!(matches!(refused, Err(DatasetError::Imported(known)) if known == run.scan_id));
     store.close().await;
-    std::fs::remove_dir_all(data).unwrap();
 }
 
 #[tokio::test]
 async fn an_import_that_the_disk_cannot_hold_stores_nothing() {
-    let data = folder("import-disk");
+    let data = Folder::new("import-disk");
     let store = store(&data).await;
     let path = data.join("pad.parquet");
     std::fs::write(&path, parquet(good())).unwrap();
@@ -326,5 +315,4 @@ async fn an_import_that_the_disk_cannot_hold_stores_nothing() {
     // What a client shows while it waits.
     assert_eq!([&progress.done, &progress.total].map(|n| n.load(Relaxed)), [3, 3]);
     store.close().await;
-    std::fs::remove_dir_all(data).unwrap();
 }

@@ -8,7 +8,7 @@ use serde_json::{Value, json};
 
 use super::filled::Filled;
 use super::imports::{PAD, frames, import, lists, parquet};
-use crate::support::{SENSOR, answered};
+use crate::support::{SENSOR, answered, is_refused};
 
 /// Longest wait for a job.
 const LIMIT: Duration = Duration::from_secs(120);
@@ -226,9 +226,7 @@ async fn what_cannot_be_is_named_and_changes_nothing() {
             .post(lab.url("/api/v1/infer?method=fast"))
             .header("content-type", "application/octet-stream")
             .body(bytes);
-        let (status, body) = answered(request).await;
-        assert_eq!(status, 422, "{body}");
-        assert!(body["detail"].as_str().unwrap().contains(words), "{words}: {body}");
+        is_refused(answered(request).await, 422, words);
     }
 
     let id = lab.trained(&net).await;
@@ -249,9 +247,7 @@ async fn what_cannot_be_is_named_and_changes_nothing() {
         (onnx.to_vec(), facts.replace("ert-28", "other"), "sensor = other"),
         (onnx.to_vec(), facts.replace("code", "cdoe"), "cdoe"),
     ] {
-        let (status, body) = add(file, facts, SENSOR.to_owned()).await;
-        assert_eq!(status, 422, "{body}");
-        assert!(body["detail"].as_str().unwrap().contains(words), "{words}: {body}");
+        is_refused(add(file, facts, SENSOR.to_owned()).await, 422, words);
     }
     // What is wrong with the form itself is refused as in other forms.
     let form = reqwest::multipart::Form::new;
@@ -262,10 +258,8 @@ async fn what_cannot_be_is_named_and_changes_nothing() {
         (form().text("name", "a\nb"), "no control characters"),
         (form().part("facts", no_text), "facts = bytes: must be text"),
     ] {
-        let answer = lab.http.post(lab.url("/api/v1/models")).multipart(form).send().await.unwrap();
-        assert_eq!(answer.status(), 400, "{words}");
-        let body: Value = answer.json().await.unwrap();
-        assert!(body["detail"].as_str().unwrap().contains(words), "{words}: {body}");
+        let request = lab.http.post(lab.url("/api/v1/models")).multipart(form);
+        is_refused(answered(request).await, 400, words);
     }
     assert_eq!(lab.get("/api/v1/models").await["items"].as_array().unwrap().len(), 1);
 
@@ -360,9 +354,7 @@ async fn touches_without_forces_are_learned_and_scored_and_no_force_is_made_up()
     let (status, answers) = ask(channels).await;
     assert_eq!((status, &answers[0]["model"]), (200, &json!(net)), "{answers}");
     assert!(answers[0]["contacts"].is_array(), "{answers}");
-    let (status, refused) = ask(784).await;
-    let words = "frames[0] = 784: must have 16 voltages";
-    assert!(status == 422 && refused["detail"].as_str().unwrap().contains(words), "{refused}");
+    is_refused(ask(784).await, 422, "frames[0] = 784: must have 16 voltages");
 
     // Promoted, it answers by slot and sensor, also after a restart, next to what serves on the rig.
     let of_mat = json!({ "slot": "map", "sensor": "mat", "what": net });

@@ -46,8 +46,7 @@ async fn real_is_labelled_split_and_says_what_it_leaves_out() {
 async fn rows(lab: &Filled, dataset: &str, columns: &str) -> BTreeMap<i64, Value> {
     let path = format!("/api/v1/datasets/{dataset}/rows?limit=10000&columns=trial_id,{columns}");
     lab.make(dataset).await;
-    let page = lab.get(&path).await;
-    let rows = page["items"].as_array().unwrap().iter().cloned();
+    let rows = lab.items(&path).await.into_iter();
     rows.map(|row| (row["trial_id"].as_i64().unwrap(), row)).collect()
 }
 

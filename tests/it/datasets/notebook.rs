@@ -7,9 +7,9 @@ use std::path::Path;
 
 use serde_json::Value;
 
-use super::filled::{Filled, folder};
+use super::filled::Filled;
 use super::imports::import;
-use crate::support;
+use crate::support::{self, Folder};
 
 /// Modules that the scripts import.
 const MODULES: &str = "pandas, polars, duckdb, pyarrow, numpy";
@@ -36,7 +36,7 @@ enum Expected {
 #[tokio::test(flavor = "multi_thread")]
 async fn files_written_from_python_are_taken_or_refused() {
     let Some(python) = support::python(MODULES) else { return };
-    let files = folder("written-from-python");
+    let files = Folder::new("written-from-python");
     support::printed(python, "datasets/python/import.py", &[&files]).await;
     let read = |name: &str| std::fs::read(files.join(name)).unwrap();
     let expected: BTreeMap<String, Expected> =
@@ -60,8 +60,7 @@ async fn files_written_from_python_are_taken_or_refused() {
                 assert_eq!(status, 201, "{name}: {made}");
                 assert_eq!(made["columns_left_out"], Value::from(left_out), "{name}");
                 let run = made["run"]["scan_id"].as_i64().unwrap();
-                let page = lab.get(&format!("/api/v1/runs/{run}/trials?limit=10000")).await;
-                let rows = page["items"].as_array().unwrap();
+                let rows = lab.items(&format!("/api/v1/runs/{run}/trials?limit=10000")).await;
                 let sum = |key: &str| rows.iter().map(|r| r[key].as_u64().unwrap()).sum::<u64>();
                 let found = (rows.len() as u64, sum("contact_count"), sum("missing_channels"));
                 assert_eq!(found, (trials, contacts, missing_channels), "{name}");
@@ -69,5 +68,4 @@ async fn files_written_from_python_are_taken_or_refused() {
         }
     }
     lab.close().await;
-    std::fs::remove_dir_all(files).ok();
 }

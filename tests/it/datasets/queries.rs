@@ -35,13 +35,8 @@ async fn pages_cover_a_dataset_once_also_filtered(lab: &Filled) {
             let Some(next) = page["next"].as_str() else { break };
             path = format!("{first}&cursor={next}");
         }
-        let all = lab.get(&first.replace("limit=17", "limit=10000")).await;
-        let all: Vec<i64> = all["items"]
-            .as_array()
-            .unwrap()
-            .iter()
-            .map(|r| r["trial_id"].as_i64().unwrap())
-            .collect();
+        let all = lab.items(&first.replace("limit=17", "limit=10000")).await;
+        let all: Vec<i64> = all.iter().map(|r| r["trial_id"].as_i64().unwrap()).collect();
         assert_eq!(seen, all);
         assert!(!all.is_empty() && all.windows(2).all(|pair| pair[0] < pair[1]));
     }
@@ -49,7 +44,7 @@ async fn pages_cover_a_dataset_once_also_filtered(lab: &Filled) {
 
 async fn rows_come_in_the_order_of_a_column(lab: &Filled) {
     let path = "/api/v1/datasets/run-1/rows?columns=trial_id,max_force_n,voltages_v&tips=2";
-    let all = lab.get(&format!("{path}&limit=10000")).await["items"].as_array().unwrap().clone();
+    let all = lab.items(&format!("{path}&limit=10000")).await;
     let mut wanted = all.clone();
     let force = |row: &Value| row["max_force_n"].as_f64().unwrap();
     wanted.sort_by(|a, b| force(b).total_cmp(&force(a)));

@@ -18,14 +18,12 @@ use serde_json::{Value, json};
 use tokio::time::timeout;
 
 use super::filled::{self, Filled};
+use crate::support::left_out;
 
 /// A filled service, if there is an engine.
 async fn lab(name: &str) -> Option<Filled> {
     if !matches!(QUERY.find(), Program::Ready(_)) {
-        let build = "cargo build --manifest-path query/Cargo.toml";
-        assert!(std::env::var_os("PALPATE_REQUIRE_TOOLS").is_none(), "no query engine: {build}");
-        println!("LEFT OUT: no query engine ({build})");
-        return None;
+        return left_out("no query engine: cargo build --manifest-path query/Cargo.toml");
     }
     Some(Filled::open(&format!("sql-{name}")).await)
 }
@@ -66,11 +64,7 @@ async fn the_tables_hold_what_is_stored(lab: &Filled) {
     }
     assert_eq!(
         number(lab, "SELECT count(*) AS n FROM events").await,
-        json!(
-            lab.get("/api/v1/events?follow=false&limit=1000").await["items"]
-                .as_array()
-                .map_or(0, Vec::len)
-        )
+        json!(lab.items("/api/v1/events?follow=false&limit=1000").await.len())
     );
     // The columns of the API, value by value.
     let names =
@@ -200,11 +194,10 @@ async fn an_answer_comes_in_every_row_format_and_by_the_address(lab: &Filled) {
 }
 
 async fn groups_and_orders_follow_from_the_parameters_of_filters(lab: &Filled) {
-    let by_count =
-        lab.get("/api/v1/trials/groups?group_by=contact_count&agg=count,max(max_force_n)").await;
-    let counts: Vec<&Value> =
-        by_count["items"].as_array().unwrap().iter().map(|row| &row["count"]).collect();
-    assert_eq!(counts, [90, 244, 4, 4], "{by_count}");
+    let by_count = "/api/v1/trials/groups?group_by=contact_count&agg=count,max(max_force_n)";
+    let by_count = lab.items(by_count).await;
+    let counts: Vec<&Value> = by_count.iter().map(|row| &row["count"]).collect();
+    assert_eq!(counts, [90, 244, 4, 4], "{by_count:?}");
     let bins = lab.get("/api/v1/trials/groups?scan_id=1&bin=depth_mm:2&sort=-from_depth_mm").await;
     assert_eq!(
         bins["items"],
@@ -218,8 +211,7 @@ async fn groups_and_orders_follow_from_the_parameters_of_filters(lab: &Filled) {
     let border = lab.get("/api/v1/trials/groups?scan_id=1&depth_mm=3.5&bin=depth_mm:0.14").await;
     assert_eq!(border["items"], json!([{ "from_depth_mm": 3.5, "count": 30 }]));
     // FVU by pair of electrodes, against the table of voltages.
-    let pairs = lab.get("/api/v1/trials/groups?scan_id=1&group_by=pair&agg=fvu,count").await;
-    let pairs = pairs["items"].as_array().unwrap();
+    let pairs = lab.items("/api/v1/trials/groups?scan_id=1&group_by=pair&agg=fvu,count").await;
     assert_eq!(pairs.len(), 28);
     let of = "FROM voltages WHERE scan_id = 1 AND pair = 3 AND sim_voltage_v IS NOT NULL";
     assert_eq!(pairs[3]["pair"], 3);
@@ -235,10 +227,9 @@ async fn groups_and_orders_follow_from_the_parameters_of_filters(lab: &Filled) {
     assert_eq!(listed["items"].as_array().unwrap().len(), 34);
     lab.make("real").await;
     let real = "/api/v1/datasets/real/groups?group_by=split&agg=count,mean(max_force_n)&contact_count=2|tips=9";
-    let parts = lab.get(real).await;
-    let total: u64 =
-        parts["items"].as_array().unwrap().iter().filter_map(|row| row["count"].as_u64()).sum();
-    assert_eq!(total, 235, "{parts}");
+    let parts = lab.items(real).await;
+    let total: u64 = parts.iter().filter_map(|row| row["count"].as_u64()).sum();
+    assert_eq!(total, 235, "{parts:?}");
     // Any order, page by page, equals sorting all.
     let path =
         "/api/v1/trials?sort=-max_force_n&columns=trial_id,max_force_n&format=ndjson&limit=100";

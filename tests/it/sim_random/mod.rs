@@ -2,7 +2,6 @@
 //! notebook uses. Without Python, pandas and pyarrow that test reports that it was skipped;
 //! with `PALPATE_REQUIRE_TOOLS=1` it fails instead.
 
-use std::collections::BTreeMap;
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
@@ -15,7 +14,7 @@ use rand::{RngExt, SeedableRng};
 use serde_json::Value;
 use sim_core::forward::{Contact, ForwardModel, Workspace};
 
-use crate::support::{self, PALPATE, Process, not_done, sensor, skin_cache, with_responses};
+use crate::support::{self, PALPATE, Process, files, not_done, sensor, skin_cache, with_responses};
 
 mod cluster;
 
@@ -68,18 +67,6 @@ fn made(out: &Path, options: &[&str]) -> Value {
 fn last_line(output: &Output) -> Value {
     let text = String::from_utf8(output.stdout.clone()).unwrap();
     serde_json::from_str(text.lines().last().unwrap()).unwrap()
-}
-
-/// Name and sha256 of every file, in order.
-fn files(folder: &Path) -> BTreeMap<String, String> {
-    std::fs::read_dir(folder)
-        .unwrap()
-        .map(|entry| {
-            let entry = entry.unwrap();
-            let name = entry.file_name().into_string().unwrap();
-            (name, sha256_hex(std::fs::read(entry.path()).unwrap()))
-        })
-        .collect()
 }
 
 fn manifest(folder: &Path) -> Value {

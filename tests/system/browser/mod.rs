@@ -8,7 +8,7 @@ use std::sync::OnceLock;
 
 use serde_json::{Value, json};
 
-use super::bench::{COMPUTES, Lab, rig_args};
+use super::bench::{COMPUTES, Lab, left_out, rig_args};
 use super::placement::{serve_exact, skin_alone};
 
 const MODULES: &str = "playwright, axe_playwright_python";
@@ -27,10 +27,7 @@ const WEIGHTS: &str = "name = 'weights'\nseed = 2\nsensor = 's'\n[real_random]\n
     trials_each = 2\nweights_n = [4.905, 9.81]\n[measure]\nframes_per_trial = 5\n";
 
 /// A Python that has the modules, and the path of Chromium (`PALPATE_CHROMIUM`, otherwise `chromium`).
-/// Without them the test prints `LEFT OUT`.
-///
-/// # Panics
-/// If one is missing and `PALPATE_REQUIRE_TOOLS` is set.
+/// Without them the test is left out.
 fn tools() -> Option<&'static (String, String)> {
     static FOUND: OnceLock<Option<(String, String)>> = OnceLock::new();
     let found = FOUND.get_or_init(|| {
@@ -44,12 +41,8 @@ fn tools() -> Option<&'static (String, String)> {
             runs(&python, &["-c", &format!("import {MODULES}")]) && runs(&chromium, &["--version"]);
         has_all.then_some((python, chromium))
     });
-    if found.is_none() {
-        let missing = format!("no Chromium, or no Python that has {MODULES}");
-        assert!(std::env::var_os("PALPATE_REQUIRE_TOOLS").is_none(), "{missing}");
-        println!("LEFT OUT: {missing} (set PALPATE_CHROMIUM, PALPATE_PYTHON)");
-    }
-    found.as_ref()
+    let missing = format!("no Chromium (PALPATE_CHROMIUM), or no Python that has {MODULES}");
+    found.as_ref().or_else(|| left_out(&format!("{missing} (PALPATE_PYTHON)")))
 }
 
 /// Runs a scenario in the browser to its end.
@@ -71,8 +64,7 @@ async fn plays(lab: &Lab, (python, chromium): &(String, String), scenario: &str)
 async fn running(name: &str) -> (Lab, String) {
     let lab = Lab::open(name, rig_args("virtual", SPEED), COMPUTES).await;
     lab.home().await;
-    let run = lab.queue(LONG).await;
-    lab.start(&run).await;
+    let run = lab.begin(LONG).await;
     lab.stored(1).await;
     (lab, run)
 }
@@ -82,13 +74,11 @@ async fn running(name: &str) -> (Lab, String) {
 async fn furnished(name: &str) -> Lab {
     let lab = Lab::open(name, rig_args("virtual", SPEED), COMPUTES).await;
     lab.home().await;
-    let run = lab.queue(SHORT).await;
-    lab.start(&run).await;
+    let run = lab.begin(SHORT).await;
     lab.ended(&run).await;
     lab.posted("/api/v1/datasets", json!({ "name": "run-1" })).await;
     super::live::small_net(&lab).await;
-    let run = lab.queue(LONG).await;
-    lab.start(&run).await;
+    lab.begin(LONG).await;
     lab.stored(1).await;
     lab.queue(SHORT).await;
     lab
@@ -120,17 +110,14 @@ async fn a_run_is_checked_started_paused_stopped_at_once_and_finished() {
     let Some(tools) = tools() else { return };
     let lab = Lab::open("browser-operate", rig_args("virtual", 10.0), COMPUTES).await;
     plays(&lab, tools, "operate").await;
-    let actions = lab.get("/api/v1/actions?limit=100").await;
+    let actions = lab.items("/api/v1/actions?limit=100").await;
     let by_her = |row: &Value| {
         let said = |key: &str| row[key].as_str().is_some_and(|text| text.contains("Ada"));
         said("who") || said("why")
     };
     for action in ["queue", "arm", "pause", "resume", "estop"] {
         let is_logged = |row: &Value| row["action"] == action && by_her(row);
-        assert!(
-            actions["items"].as_array().unwrap().iter().any(is_logged),
-            "{action}: {actions:#}"
-        );
+        assert!(actions.iter().any(is_logged), "{action}: {actions:?}");
     }
     lab.close().await;
 }
@@ -151,12 +138,11 @@ async fn a_homing_ends_by_the_button_that_is_there_while_it_moves() {
     let Some(tools) = tools() else { return };
     let lab = Lab::open("browser-motion", rig_args("virtual", 1.0), COMPUTES).await;
     plays(&lab, tools, "motion").await;
-    let actions = lab.get("/api/v1/actions?limit=100").await;
-    let mut aborts = actions["items"].as_array().unwrap().iter();
+    let actions = lab.items("/api/v1/actions?limit=100").await;
     let is_hers = |row: &Value| {
         row["action"] == "rig_abort" && row["who"].as_str().is_some_and(|who| who.contains("Ada"))
     };
-    assert!(aborts.any(is_hers), "{actions:#}");
+    assert!(actions.iter().any(is_hers), "{actions:?}");
     lab.close().await;
 }
 
@@ -186,8 +172,7 @@ async fn a_weight_on_a_wrong_point_is_named_before_it_is_stored_and_a_trial_is_r
     let lab = Lab::open_alone("browser-wrong", skin_alone(), COMPUTES).await;
     serve_exact(&lab).await;
     lab.operate(json!({ "action": "connect", "who": "test" })).await;
-    let run = lab.queue(WEIGHTS).await;
-    lab.start(&run).await;
+    let run = lab.begin(WEIGHTS).await;
     plays(&lab, tools, "wrong_weight").await;
     let summary = lab.get(&format!("/api/v1/runs/{run}/summary")).await;
     assert_eq!(summary["retries"], 1, "one trial was withdrawn: {summary:#}");

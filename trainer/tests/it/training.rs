@@ -206,17 +206,12 @@ fn whitening_keeps_as_many_components_as_there_are_channels() {
 
 #[test]
 fn data_that_a_net_cannot_be_trained_on_are_named() {
-    let field = |plan: &Plan, rows: &Rows, validation: &Rows| match train(
-        plan,
-        rows,
-        validation,
-        None,
-        &mut Watch::default(),
-    )
-    .unwrap_err()
-    {
-        TrainError::Recipe(nets::error::RecipeError::Value { field, .. }) => field,
-        other => panic!("{other}"),
+    let field = |plan: &Plan, rows: &Rows, validation: &Rows| {
+        let refused = train(plan, rows, validation, None, &mut Watch::default());
+        match refused.unwrap_err() {
+            TrainError::Recipe(nets::error::RecipeError::Value { field, .. }) => field,
+            other => panic!("{other}"),
+        }
     };
     let (volts, maps) = (rows(10, bent), rows(10, map));
     assert_eq!(field(&plan(TRANSFER), &maps, &maps), "numbers of a target");

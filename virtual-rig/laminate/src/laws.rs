@@ -243,67 +243,41 @@ pub struct ReadoutLaw {
     pub hours_k: f64,
 }
 
+/// Dotted keys and values of fields of a file's sections: `keyed!(file, foam: ln_sd; tips: tilt_sd)`.
+#[macro_export]
+macro_rules! keyed {
+    ($file:expr, $($section:ident: $($field:ident),+);+) => {
+        [$($((
+            concat!(stringify!($section), ".", stringify!($field)),
+            $file.$section.$field,
+        )),+),+]
+    };
+}
+
 impl Laws {
     /// Checks the values.
     ///
     /// # Errors
     /// `ValueError` with the first value outside its limits.
     pub fn check(&self, plan: &Plan) -> Result<(), ValueError> {
-        let (g, t, s, e, r) =
-            (&self.grid, &self.tips, &self.stage, &self.electrodes, &self.readout);
-        let (f, c, k) = (&self.foam, &self.cover, &self.conductance);
-        let not_negative = [
-            ("foam.shear_mpa", f.shear_mpa),
-            ("foam.ln_sd", f.ln_sd),
-            ("cover.bending_n_mm", c.bending_n_mm),
-            ("cover.tension_n_per_mm", c.tension_n_per_mm),
-            ("tips.tilt_sd_deg", t.tilt_sd_deg),
-            ("tips.slope_sd_deg", t.slope_sd_deg),
-            ("stage.height_sd_mm", s.height_sd_mm),
-            ("conductance.series_ohm_mm2", k.series_ohm_mm2),
-            ("conductance.unloading", k.unloading),
-            ("conductance.ln_sd", k.ln_sd),
-            ("conductance.ln_cell_sd", k.ln_cell_sd),
-            ("sheet.ln_sd", self.sheet.ln_sd),
-            ("electrodes.offset_sd_mm", e.offset_sd_mm),
-            ("electrodes.contact_ln_sd", e.contact_ln_sd),
-            ("electrodes.lead_ohm", e.lead_ohm),
-            ("electrodes.lead_ln_sd", e.lead_ln_sd),
-            ("readout.white_mv", r.white_mv),
-            ("readout.flicker_mv", r.flicker_mv),
-            ("readout.mains_mv", r.mains_mv),
-            ("readout.offset_mv", r.offset_mv),
-            ("readout.offset_per_day_mv", r.offset_per_day_mv),
-            ("readout.hours_k", r.hours_k),
-            ("readout.offset_per_k_mv", r.offset_per_k_mv),
-            ("readout.converter_per_k_mv", r.converter_per_k_mv),
-            ("readout.relaxation_per_decade", r.relaxation_per_decade),
-            ("readout.conductance_per_k", r.conductance_per_k),
-            ("readout.day_k", r.day_k),
-            ("stage.height_mm", s.height_mm),
-        ];
+        let (g, s, e, r) = (&self.grid, &self.stage, &self.electrodes, &self.readout);
+        let (f, k) = (&self.foam, &self.conductance);
+        let not_negative = keyed!(self,
+            foam: shear_mpa, ln_sd; cover: bending_n_mm, tension_n_per_mm;
+            tips: tilt_sd_deg, slope_sd_deg; stage: height_sd_mm;
+            conductance: series_ohm_mm2, unloading, ln_sd, ln_cell_sd; sheet: ln_sd;
+            electrodes: offset_sd_mm, contact_ln_sd, lead_ohm, lead_ln_sd;
+            readout: white_mv, flicker_mv, mains_mv, offset_mv, offset_per_day_mv, hours_k,
+                offset_per_k_mv, converter_per_k_mv, relaxation_per_decade, conductance_per_k,
+                day_k; stage: height_mm);
         for (key, value) in not_negative {
             require(key, value, value >= 0.0, "must be a number >= 0")?;
         }
-        let mut positive = vec![
-            ("grid.foam_mm", g.foam_mm),
-            ("grid.sheet_mm", g.sheet_mm),
-            ("foam.correlation_mm", f.correlation_mm),
-            ("cover.loft_mm", c.loft_mm),
-            ("cover.loft_mpa", c.loft_mpa),
-            ("tips.slope_correlation_mm", t.slope_correlation_mm),
-            ("stage.height_correlation_mm", s.height_correlation_mm),
-            ("stage.arm_n_per_mm", s.arm_n_per_mm),
-            ("conductance.untouched_s_per_mm2", k.untouched_s_per_mm2),
-            ("conductance.correlation_mm", k.correlation_mm),
-            ("sheet.anisotropy", self.sheet.anisotropy),
-            ("sheet.correlation_mm", self.sheet.correlation_mm),
-            ("electrodes.diameter_mm", e.diameter_mm),
-            ("electrodes.contact_ohm_mm2", e.contact_ohm_mm2),
-            ("readout.sample_hz", r.sample_hz),
-            ("readout.count_mv", r.count_mv),
-            ("readout.mains_hz", r.mains_hz),
-        ];
+        let mut positive = Vec::from(keyed!(self,
+            grid: foam_mm, sheet_mm; foam: correlation_mm; cover: loft_mm, loft_mpa;
+            tips: slope_correlation_mm; stage: height_correlation_mm, arm_n_per_mm;
+            conductance: untouched_s_per_mm2, correlation_mm; sheet: anisotropy, correlation_mm;
+            electrodes: diameter_mm, contact_ohm_mm2; readout: sample_hz, count_mv, mains_hz));
         match f.law {
             FoamLaw::Avalle {
                 modulus_mpa,

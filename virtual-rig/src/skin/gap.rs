@@ -1,6 +1,7 @@
 //! The gap file: difference between a virtual skin and the nominal model.
 //! Uses: `laminate::laws` (the check of a value), serde, toml. Never: files (the text is passed in), random numbers.
 
+use laminate::keyed;
 use laminate::laws::{ValueError, require};
 use serde::{Deserialize, Serialize};
 
@@ -168,55 +169,29 @@ impl Gap {
     }
 
     fn check(&self) -> Result<(), ValueError> {
-        let (f, e, r, m) = (&self.fields, &self.electrodes, &self.readout, &self.mechanics);
-        for (key, value) in [
-            ("fields.ln_a_sd", f.ln_a_sd),
-            ("fields.ln_a_white_sd", f.ln_a_white_sd),
-            ("fields.ln_b_sd", f.ln_b_sd),
-            ("fields.ln_c_sd", f.ln_c_sd),
-            ("fields.ln_compliance_sd", f.ln_compliance_sd),
-            ("fields.ln_sheet_sd", f.ln_sheet_sd),
-            ("foam.softening", self.foam.softening),
-            ("electrodes.offset_sd_mm", e.offset_sd_mm),
-            ("electrodes.lead_ohm", e.lead_ohm),
-            ("electrodes.lead_ln_sd", e.lead_ln_sd),
-            ("electrodes.soft_radius_mm", e.soft_radius_mm),
-            ("electrodes.soft_compliance", e.soft_compliance),
-            ("electrodes.loose_ohm", e.loose_ohm),
-            ("tips.tilt_sd", self.tips.tilt_sd),
-            ("readout.ln_a_drift_sd", r.ln_a_drift_sd),
-            ("readout.gain_drift_sd", r.gain_drift_sd),
-            ("readout.offset_sd_mv", r.offset_sd_mv),
-            ("readout.noise_sd_mv", r.noise_sd_mv),
-            ("readout.creep_per_decade", r.creep_per_decade),
-            ("mechanics.travel_starts_above_mm", m.travel_starts_above_mm),
-            ("mechanics.configuration_sd_mm", m.configuration_sd_mm),
-            ("mechanics.tip_sd_mm", m.tip_sd_mm),
-        ] {
+        for (key, value) in keyed!(self,
+            fields: ln_a_sd, ln_a_white_sd, ln_b_sd, ln_c_sd, ln_compliance_sd, ln_sheet_sd;
+            foam: softening; electrodes: offset_sd_mm, lead_ohm, lead_ln_sd, soft_radius_mm,
+                soft_compliance, loose_ohm; tips: tilt_sd;
+            readout: ln_a_drift_sd, gain_drift_sd, offset_sd_mv, noise_sd_mv, creep_per_decade;
+            mechanics: travel_starts_above_mm, configuration_sd_mm, tip_sd_mm)
+        {
             require(key, value, value >= 0.0, "must be a number >= 0")?;
         }
-        let mut positive = vec![
-            ("foam.softening_at_mm", self.foam.softening_at_mm),
-            ("foam.limit_mm", self.foam.limit_mm),
-            ("foam.limit_exponent", self.foam.limit_exponent),
-            ("electrodes.contact_ohm", e.contact_ohm),
-            ("readout.ln_a_drift_time_s", r.ln_a_drift_time_s),
-            ("readout.gain_drift_time_s", r.gain_drift_time_s),
-            ("mechanics.travel_to_5_n_mm", m.travel_to_5_n_mm),
-            ("mechanics.flatness_correlation_mm", m.flatness_correlation_mm),
-            ("mechanics.toe_mm", m.toe_mm),
-            ("mechanics.toe_exponent", m.toe_exponent),
-            ("mechanics.slope_n_per_mm", m.slope_n_per_mm),
-            ("fields.correlation_mm, count", f.correlation_mm.len() as f64),
-        ];
-        positive.extend(f.correlation_mm.iter().map(|&l| ("fields.correlation_mm", l)));
+        let lengths_mm = &self.fields.correlation_mm;
+        let mut positive = Vec::from(keyed!(self,
+            foam: softening_at_mm, limit_mm, limit_exponent; electrodes: contact_ohm;
+            readout: ln_a_drift_time_s, gain_drift_time_s; mechanics: travel_to_5_n_mm,
+                flatness_correlation_mm, toe_mm, toe_exponent, slope_n_per_mm));
+        positive.push(("fields.correlation_mm, count", lengths_mm.len() as f64));
+        positive.extend(lengths_mm.iter().map(|&l| ("fields.correlation_mm", l)));
         for (key, value) in positive {
             require(key, value, value > 0.0, "must be a number > 0")?;
         }
-        for value in m.tip_offsets_mm {
+        for value in self.mechanics.tip_offsets_mm {
             require("mechanics.tip_offsets_mm", value, true, "must be numbers")?;
         }
-        let share = m.unloading_softer;
+        let share = self.mechanics.unloading_softer;
         require(
             "mechanics.unloading_softer",
             share,

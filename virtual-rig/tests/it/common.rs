@@ -202,17 +202,7 @@ impl Iai {
 
 /// Sends a request to a unit and returns the exception code or the response.
 pub async fn call(context: &mut Context, request: Request<'_>) -> Result<Response, u16> {
-    context.call(request).await.unwrap().map_err(u16::from_exception)
-}
-
-trait FromException {
-    fn from_exception(exception: tokio_modbus::ExceptionCode) -> Self;
-}
-
-impl FromException for u16 {
-    fn from_exception(exception: tokio_modbus::ExceptionCode) -> Self {
-        u16::from(u8::from(exception))
-    }
+    context.call(request).await.unwrap().map_err(|exception| u8::from(exception).into())
 }
 
 /// One frame, decoded by an independent reader.
@@ -223,7 +213,7 @@ pub struct Frame {
     pub voltages_v: Vec<f64>,
 }
 
-/// Reads a packet stream: Cheshire and Baker's COBS, CRC32 bit by bit.
+/// Reads a packet stream.
 pub struct StreamReader<R> {
     wire: R,
     pending: Vec<u8>,
@@ -255,13 +245,14 @@ impl<R: AsyncReadExt + Unpin> StreamReader<R> {
     }
 
     fn decode(&mut self, packet: &[u8]) -> Option<Frame> {
-        let raw = uncobs(packet).filter(|raw| {
-            raw.len() > 6 && raw[raw.len() - 4..] == crc32(&raw[..raw.len() - 4]).to_le_bytes()
-        });
-        let Some(raw) = raw else {
+        let mut raw = packet.to_vec();
+        let length = cobs::decode_in_place(&mut raw).unwrap_or_default();
+        raw.truncate(length);
+        let sum = crc32fast::hash(&raw[..length.saturating_sub(4)]);
+        if length <= 6 || !raw.ends_with(&sum.to_le_bytes()) {
             self.garbled += 1;
             return None;
-        };
+        }
         assert_eq!(raw[0], 1);
         if raw[1] == 2 {
             let text = String::from_utf8(raw[2..raw.len() - 4].to_vec()).unwrap();
@@ -290,25 +281,4 @@ impl Frame {
         let sums = self.voltages_v.chunks(28).map(|c| c.iter().sum::<f64>().abs());
         sums.fold(0.0, f64::max)
     }
-}
-
-fn uncobs(bytes: &[u8]) -> Option<Vec<u8>> {
-    let mut out = Vec::new();
-    let mut at = 0;
-    while at < bytes.len() {
-        let code = usize::from(bytes[at]);
-        out.extend(bytes.get(at + 1..at + code)?);
-        at += code;
-        if code < 0xFF && at < bytes.len() {
-            out.push(0);
-        }
-    }
-    Some(out)
-}
-
-fn crc32(bytes: &[u8]) -> u32 {
-    !bytes.iter().fold(u32::MAX, |crc, &b| {
-        (0..8)
-            .fold(crc ^ u32::from(b), |c, _| if c & 1 == 1 { c >> 1 ^ 0xEDB8_8320 } else { c >> 1 })
-    })
 }

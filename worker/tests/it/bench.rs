@@ -78,6 +78,13 @@ impl Bench {
         self.command(arguments).output().unwrap()
     }
 
+    /// What the owner of the queue reads.
+    pub fn asked(&self, statement: &str) -> String {
+        let output = self.server.psql("owner", "queue", PASSWORD, statement);
+        assert!(output.status.success(), "{}", text(&output.stderr));
+        text(&output.stdout).trim().to_owned()
+    }
+
     /// The folder of the store.
     pub fn store(&self) -> PathBuf {
         self.folder.path().join("store")
@@ -154,9 +161,19 @@ impl Made {
         (0..self.order.chunks).map(one).collect()
     }
 
+    /// The folder of its results in a store.
+    pub fn stored_in(&self, bench: &Bench) -> PathBuf {
+        bench.store().join(&self.order.id).join("results")
+    }
+
+    /// The row of a chunk in a store.
+    pub fn row(&self, bench: &Bench, index: u64) -> PathBuf {
+        self.stored_in(bench).join(format!("{}.json", self.order.key(index)))
+    }
+
     /// The results of a store.
     pub fn stored(&self, bench: &Bench) -> Vec<Option<Vec<u8>>> {
-        self.results(&bench.store().join(&self.order.id).join("results"))
+        self.results(&self.stored_in(bench))
     }
 
     /// The bytes of each chunk as one undisturbed process makes them.

@@ -78,8 +78,7 @@ fn bytes_are_those_of_one_undisturbed_process() {
         (&json!(0), &json!(0), &json!(0))
     );
     assert!(made.stored(&bench) == made.undisturbed());
-    let results =
-        fs::read_dir(bench.store().join(&made.order.id).join("results")).unwrap().flatten();
+    let results = fs::read_dir(made.stored_in(&bench)).unwrap().flatten();
     let names: Vec<String> =
         results.map(|entry| entry.file_name().to_string_lossy().into_owned()).collect();
     // A killed worker leaves at most the beginning of a file under a temporary name.

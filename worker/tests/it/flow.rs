@@ -5,8 +5,7 @@ use std::time::Duration;
 
 use serde_json::json;
 
-use crate::bench::{Bench, text, until};
-use crate::server::PASSWORD;
+use crate::bench::{Bench, Made, text, until};
 
 const SOON: Duration = Duration::from_secs(30);
 
@@ -24,12 +23,8 @@ fn an_order_is_made_fetched_and_equal_to_that_of_one_process() {
     assert_eq!((&status["done"], &status["missing"]), (&json!(12), &json!(0)));
     assert!(made.stored(&bench) == made.undisturbed());
     // A row states what the program has written, not what the worker knows.
-    let row = bench
-        .store()
-        .join(&made.order.id)
-        .join("results")
-        .join(format!("{}.json", made.order.key(5)));
-    let row: serde_json::Value = serde_json::from_slice(&fs::read(row).unwrap()).unwrap();
+    let row = fs::read(made.row(&bench, 5)).unwrap();
+    let row: serde_json::Value = serde_json::from_slice(&row).unwrap();
     assert_eq!((&row["made_by"], &row["commit"]), (&json!("stand-in"), &json!("0000000")));
     // The next submission finds all done.
     assert!(
@@ -105,7 +100,7 @@ fn a_damaged_result_is_named_discarded_and_made_again() {
     bench.ok(&["submit", made.path()]);
     assert!(bench.worker(&bench.address, &["--until-idle"]).ended(SOON));
     let key = made.order.key(1);
-    let stored = bench.store().join(&made.order.id).join("results").join(format!("{key}.parquet"));
+    let stored = made.stored_in(&bench).join(format!("{key}.parquet"));
     let mut bytes = fs::read(&stored).unwrap();
     bytes[100] ^= 1;
     fs::write(&stored, bytes).unwrap();
@@ -133,19 +128,16 @@ fn a_result_that_exists_is_acknowledged_and_not_made() {
     let made = bench.order(4, json!({ "seed": 9 }));
     bench.ok(&["submit", made.path()]);
     assert!(bench.worker(&bench.address, &["--until-idle"]).ended(SOON));
-    let results = bench.store().join(&made.order.id).join("results");
-    let written = |key: &str| fs::metadata(results.join(key)).unwrap().modified().unwrap();
-    let name = format!("{}.json", made.order.key(2));
-    let before = written(&name);
+    let written = || fs::metadata(made.row(&bench, 2)).unwrap().modified().unwrap();
+    let before = written();
     // The queue delivers a chunk again, as after a lost acknowledgement.
     let payload = json!({ "order": made.order.id, "index": 2 });
     let add = format!("SELECT palpate_queue.add_job('chunk', '{payload}')");
-    let output = bench.server.psql("owner", "queue", PASSWORD, &add);
-    assert!(output.status.success(), "{}", text(&output.stderr));
+    bench.asked(&add);
     let mut worker = bench.worker(&bench.address, &["--until-idle"]);
     assert!(worker.ended(SOON));
     assert!(worker.log().contains("made=0 existed=1"), "{}", worker.log());
-    assert_eq!(written(&name), before);
+    assert_eq!(written(), before);
 }
 
 #[test]
@@ -162,13 +154,8 @@ fn a_worker_takes_what_it_can_do_and_high_priority_first() {
         assert!(bench.worker(&bench.address, &[unfit, &["--until-idle"]].concat()).ended(SOON));
         assert_eq!(bench.status(&gpu)["waiting"], json!(2));
     }
-    let written = |made: &crate::bench::Made, index| {
-        let name = format!("{}.json", made.order.key(index));
-        fs::metadata(bench.store().join(&made.order.id).join("results").join(name))
-            .unwrap()
-            .modified()
-            .unwrap()
-    };
+    let written =
+        |made: &Made, index| fs::metadata(made.row(&bench, index)).unwrap().modified().unwrap();
     let last_high = written(&high, 0).max(written(&high, 1));
     assert!(last_high < written(&low, 0).min(written(&low, 1)));
     assert!(
@@ -186,10 +173,7 @@ fn a_cancelled_order_is_made_no_more() {
     let other = bench.order(2, json!({ "seed": 5 }));
     bench.ok(&["submit", made.path()]);
     bench.ok(&["submit", other.path()]);
-    let orders = || {
-        let count = "SELECT count(*) FROM palpate_queue._private_tasks";
-        text(&bench.server.psql("owner", "queue", PASSWORD, count).stdout).trim().to_owned()
-    };
+    let orders = || bench.asked("SELECT count(*) FROM palpate_queue._private_tasks");
     assert!(bench.ok(&["cancel", &made.order.id]).contains("5 chunks removed"));
     assert_eq!(orders(), "2");
     assert!(bench.worker(&bench.address, &["--until-idle"]).ended(SOON));
@@ -254,12 +238,10 @@ fn a_chunk_whose_delivery_was_lost_is_returned_by_its_living_worker() {
     let made = bench.order(1, json!({ "seed": 11 }));
     bench.ok(&["submit", made.path(), "--gpu"]);
     let _worker = bench.worker(&bench.desk(bench.server.port), &[]);
-    let owner =
-        |statement: &str| text(&bench.server.psql("owner", "queue", PASSWORD, statement).stdout);
-    let worker = || owner("SELECT id FROM palpate_queue._private_workers").trim().to_owned();
+    let worker = || bench.asked("SELECT id FROM palpate_queue._private_workers");
     until("the worker is there", SOON, || !worker().is_empty());
     // As if the worker had taken it a minute ago, and its answer had not arrived.
-    owner(&format!(
+    bench.asked(&format!(
         "UPDATE palpate_queue._private_jobs SET flags = NULL, attempts = 8, locked_by = '{}', \
          locked_at = now() - interval '1 minute'",
         worker()

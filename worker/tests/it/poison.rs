@@ -5,8 +5,7 @@ use std::time::Duration;
 
 use serde_json::{Value, json};
 
-use crate::bench::{Bench, text, until};
-use crate::server::PASSWORD;
+use crate::bench::{Bench, until};
 
 const SOON: Duration = Duration::from_secs(40);
 
@@ -53,7 +52,7 @@ fn a_chunk_that_takes_its_worker_with_it_is_set_aside() {
     for attempt in ["1", "2"] {
         let mut worker = bench.worker(&bench.address, &[]);
         let taken = "SELECT attempts FROM palpate_queue._private_jobs WHERE locked_by IS NOT NULL";
-        until("the chunk is made", SOON, || asked(&bench, taken) == attempt);
+        until("the chunk is made", SOON, || bench.asked(taken) == attempt);
         worker.process.kill().unwrap();
         worker.process.wait().unwrap();
     }
@@ -96,7 +95,7 @@ fn a_machine_that_cannot_make_chunks_does_not_use_up_their_attempts() {
         let status = bench.status(&made);
         assert_eq!((&status["waiting"], &status["again"]), (&json!(30), &json!(1)));
         assert!(status["again_error"].as_str().unwrap().contains(expected), "{status}");
-        assert_eq!(asked(&bench, "SELECT max(attempts) FROM palpate_queue._private_jobs"), "0");
+        assert_eq!(bench.asked("SELECT max(attempts) FROM palpate_queue._private_jobs"), "0");
         bench.ok(&["cancel", made.path()]);
     }
 }
@@ -114,8 +113,7 @@ fn an_order_that_machines_refuse_blocks_no_other_and_is_set_aside_in_the_end() {
     assert!(worker.ended(SOON));
     assert_eq!(bench.status(&refused)["waiting"], json!(30));
     // As after some days.
-    asked(
-        &bench,
+    bench.asked(
         "UPDATE palpate_queue._private_jobs SET payload = jsonb_set(payload::jsonb, '{refused}', '4999')::json",
     );
     let mut last = bench.worker(&bench.address, &["--until-idle"]);
@@ -132,11 +130,4 @@ fn an_order_that_machines_refuse_blocks_no_other_and_is_set_aside_in_the_end() {
     );
     let again = bench.ok(&["submit", refused.path()]);
     assert!(again.contains("30 submitted (1 had failed)"), "{again}");
-}
-
-/// What the owner of the queue reads.
-fn asked(bench: &Bench, statement: &str) -> String {
-    let output = bench.server.psql("owner", "queue", PASSWORD, statement);
-    assert!(output.status.success(), "{}", text(&output.stderr));
-    text(&output.stdout).trim().to_owned()
 }

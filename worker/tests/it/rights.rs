@@ -2,21 +2,19 @@
 
 use std::fs;
 use std::os::unix::fs::PermissionsExt;
-use std::process::Command;
 use std::time::Duration;
 
 use serde_json::json;
 
 use crate::bench::{Bench, DESK_PASSWORD, text};
-use crate::server::{PASSWORD, run};
+use crate::server::{NEW_KEY, PASSWORD, openssl};
 
 const SOON: Duration = Duration::from_secs(30);
 
 #[test]
 fn a_worker_takes_and_returns_chunks_and_nothing_else() {
     let Some(bench) = Bench::start() else { return };
-    let owner = |statement: &str| bench.server.psql("owner", "queue", PASSWORD, statement);
-    assert!(owner("CREATE TABLE other (x int)").status.success());
+    bench.asked("CREATE TABLE other (x int)");
     let made = bench.order(5, json!({ "seed": 1, "fails": [2] }));
     bench.ok(&["submit", made.path(), "--attempts", "2"]);
     let address = bench.desk(bench.server.port);
@@ -125,29 +123,17 @@ fn the_connection_is_encrypted_and_a_false_server_refused() {
     let Some(mut bench) = Bench::start() else { return };
     let folder = bench.server.folder().to_owned();
     for name in ["server", "false"] {
-        let mut openssl = Command::new("openssl");
-        openssl
-            .current_dir(&folder)
-            .args(["req", "-x509", "-newkey", "ec", "-nodes", "-days", "2"]);
-        openssl.args(["-pkeyopt", "ec_paramgen_curve:prime256v1", "-subj", "/CN=lab"]);
-        openssl.args([
-            "-addext",
-            "subjectAltName=DNS:localhost",
-            "-addext",
-            "basicConstraints=CA:FALSE",
-        ]);
-        run(openssl.args(["-keyout", &format!("{name}.key"), "-out", &format!("{name}.crt")]));
+        let arguments = format!(
+            "req -x509 -days 2 -subj /CN=lab -addext subjectAltName=DNS:localhost \
+             -addext basicConstraints=CA:FALSE -keyout {name}.key -out {name}.crt {NEW_KEY}"
+        );
+        openssl(&folder, &arguments);
     }
-    for file in ["server.key", "server.crt"] {
-        bench.server.own(&folder.join(file));
+    for (setting, name) in [("ssl_key_file", "server.key"), ("ssl_cert_file", "server.crt")] {
+        let file = folder.join(name);
+        bench.server.own(&file);
+        bench.server.sql(&format!("ALTER SYSTEM SET {setting} = '{}'", file.display()));
     }
-    bench.server.sql(&format!(
-        "ALTER SYSTEM SET ssl_cert_file = '{}'",
-        folder.join("server.crt").display()
-    ));
-    bench
-        .server
-        .sql(&format!("ALTER SYSTEM SET ssl_key_file = '{}'", folder.join("server.key").display()));
     bench.server.sql("ALTER SYSTEM SET ssl = on");
     bench.server.kill();
     bench.server.begin();

@@ -23,12 +23,7 @@ pub struct Server {
 /// A server, or `None` if PostgreSQL is not installed.
 pub fn start() -> Option<Server> {
     let Some(bin) = bin() else {
-        assert!(
-            std::env::var_os("PALPATE_REQUIRE_TOOLS").is_none(),
-            "no postgres: install PostgreSQL 12 or later"
-        );
-        eprintln!("SKIPPED: no postgres");
-        return None;
+        return left_out("no postgres: install PostgreSQL 12 or later");
     };
     let folder = tempfile::Builder::new().prefix("palpate-pg-").tempdir().unwrap();
     if is_root() {
@@ -40,16 +35,8 @@ pub fn start() -> Option<Server> {
     fs::write(&password, PASSWORD).unwrap();
     fs::set_permissions(&password, fs::Permissions::from_mode(0o644)).unwrap();
     let mut init = as_user(&bin.join("initdb"), folder.path());
-    init.arg("-D").arg(&data).args([
-        "-U",
-        "owner",
-        "--auth=scram-sha-256",
-        "--no-sync",
-        "-E",
-        "UTF8",
-        "--locale=C",
-    ]);
-    run(init.arg(format!("--pwfile={}", password.display())));
+    init.arg("-D").arg(&data).arg(format!("--pwfile={}", password.display()));
+    run(init.args("-U owner --auth=scram-sha-256 --no-sync -E UTF8 --locale=C".split(' ')));
     let port = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
     let mut server = Server { folder, bin, port, process: None };
     server.begin();
@@ -85,6 +72,21 @@ fn as_user(program: &Path, folder: &Path) -> Command {
     command
 }
 
+/// Reports that a test is left out, for what it lacks; fails if `PALPATE_REQUIRE_TOOLS` is set.
+pub fn left_out<T>(missing: &str) -> Option<T> {
+    assert!(std::env::var_os("PALPATE_REQUIRE_TOOLS").is_none(), "{missing}");
+    println!("LEFT OUT: {missing}");
+    None
+}
+
+/// Options of openssl for a new key.
+pub const NEW_KEY: &str = "-newkey ec -pkeyopt ec_paramgen_curve:prime256v1 -nodes";
+
+/// Runs openssl in a folder, with these arguments.
+pub fn openssl(folder: &Path, arguments: &str) {
+    run(Command::new("openssl").current_dir(folder).args(arguments.split(' ')));
+}
+
 /// Runs a command that must succeed.
 pub fn run(command: &mut Command) -> Output {
     let output = command.output().unwrap_or_else(|error| panic!("{command:?}: {error}"));
@@ -101,14 +103,8 @@ impl Server {
                 let mut command = as_user(&self.bin.join("postgres"), self.folder.path());
                 command.arg("-D").arg(self.folder.path().join("data"));
                 let socket = format!("unix_socket_directories={}", self.folder.path().display());
-                command.args([
-                    "-p",
-                    &self.port.to_string(),
-                    "-c",
-                    "listen_addresses=127.0.0.1",
-                    "-c",
-                    &socket,
-                ]);
+                command.args(["-p", &self.port.to_string(), "-c", &socket]);
+                command.args(["-c", "listen_addresses=127.0.0.1"]);
                 let log = fs::File::options()
                     .create(true)
                     .append(true)
@@ -153,18 +149,8 @@ impl Server {
     pub fn psql(&self, user: &str, database: &str, password: &str, statement: &str) -> Output {
         let mut command = Command::new("psql");
         command.env("PGPASSWORD", password).env("PGCONNECT_TIMEOUT", "5");
-        command.args([
-            "-X",
-            "-At",
-            "-v",
-            "ON_ERROR_STOP=1",
-            "-h",
-            "127.0.0.1",
-            "-U",
-            user,
-            "-d",
-            database,
-        ]);
+        command.args("-X -At -v ON_ERROR_STOP=1 -h 127.0.0.1".split(' '));
+        command.args(["-U", user, "-d", database]);
         command.args(["-p", &self.port.to_string(), "-c", statement]).output().unwrap()
     }
 

@@ -37,8 +37,10 @@ fn read(name: &str, bytes: &[u8]) -> DatasetResult<(Vec<ImportedTrial>, Vec<Stri
     Ok((trials, left_out))
 }
 
-fn refused(name: &str, bytes: &[u8]) -> String {
-    read(name, bytes).map(|(trials, _)| trials.len()).unwrap_err().to_string()
+/// A file that must be refused with these words.
+fn is_refused(name: &str, bytes: &[u8], words: &str) {
+    let found = read(name, bytes).map(|(trials, _)| trials.len()).unwrap_err().to_string();
+    assert!(found.contains(words), "{words}: {found}");
 }
 
 fn touch(x_mm: f64, y_mm: f64, force_n: Option<f64>) -> Contact {
@@ -111,17 +113,16 @@ fn an_invalid_table_is_refused_by_row_and_column() {
         ),
         (many, "a line is longer than"),
     ] {
-        let found = refused("bad.csv", text.as_bytes());
-        assert!(found.contains(wanted), "{wanted}: {found}");
+        is_refused("bad.csv", text.as_bytes(), wanted);
     }
 }
 
 #[test]
 fn a_row_of_many_contacts_is_refused_before_it_is_parsed() {
     let text = format!("v0,v1,v2,contacts\n1,2,3,\"{}\"\n4,5,6,[]\n", "{".repeat(65));
-    let found = refused("many.csv", text.as_bytes());
-    assert!(found.contains("row 0, contacts = {{{"), "{found}");
-    assert!(found.contains("must have at most 64 contacts"), "{found}");
+    for words in ["row 0, contacts = {{{", "must have at most 64 contacts"] {
+        is_refused("many.csv", text.as_bytes(), words);
+    }
 }
 
 #[test]
@@ -265,8 +266,7 @@ fn raw_frames_are_an_array_of_three_dimensions() {
             "bytes = 2508800000: must be at most 1073741824",
         ),
     ] {
-        let found = refused("raw.npz", &bytes);
-        assert!(found.contains(wanted), "{wanted}: {found}");
+        is_refused("raw.npz", &bytes, wanted);
     }
     // Where a trial has no raw frames, it may have its mean.
     let mut some = RAW;
@@ -313,8 +313,7 @@ fn arrays_of_other_shapes_or_sizes_are_refused_by_name() {
         (npy("<f8", false, "(2, 3)", &[]), "must not be a single array"),
         (b"PK\x03\x04 and no more".to_vec(), "must be an NPZ file"),
     ] {
-        let found = refused("bad.npz", &bytes);
-        assert!(found.contains(wanted), "{wanted}: {found}");
+        is_refused("bad.npz", &bytes, wanted);
     }
 }
 
@@ -406,7 +405,6 @@ fn a_damaged_or_newer_matlab_file_is_refused() {
         (cut, "must be a MAT file of version 5 to 7"),
         (b"MATLAB 5.0 MAT-file".to_vec(), "must be a MAT file of version 5 to 7"),
     ] {
-        let found = refused("bad.mat", &bytes);
-        assert!(found.contains(wanted), "{wanted}: {found}");
+        is_refused("bad.mat", &bytes, wanted);
     }
 }
