@@ -245,14 +245,13 @@ impl<R: AsyncReadExt + Unpin> StreamReader<R> {
     }
 
     fn decode(&mut self, packet: &[u8]) -> Option<Frame> {
-        let mut raw = packet.to_vec();
-        let length = cobs::decode_in_place(&mut raw).unwrap_or_default();
-        raw.truncate(length);
-        let sum = crc32fast::hash(&raw[..length.saturating_sub(4)]);
-        if length <= 6 || !raw.ends_with(&sum.to_le_bytes()) {
+        let raw = uncobs(packet).filter(|raw| {
+            raw.len() > 6 && raw[raw.len() - 4..] == crc32(&raw[..raw.len() - 4]).to_le_bytes()
+        });
+        let Some(raw) = raw else {
             self.garbled += 1;
             return None;
-        }
+        };
         assert_eq!(raw[0], 1);
         if raw[1] == 2 {
             let text = String::from_utf8(raw[2..raw.len() - 4].to_vec()).unwrap();
@@ -281,4 +280,25 @@ impl Frame {
         let sums = self.voltages_v.chunks(28).map(|c| c.iter().sum::<f64>().abs());
         sums.fold(0.0, f64::max)
     }
+}
+
+fn uncobs(bytes: &[u8]) -> Option<Vec<u8>> {
+    let mut out = Vec::new();
+    let mut at = 0;
+    while at < bytes.len() {
+        let code = usize::from(bytes[at]);
+        out.extend(bytes.get(at + 1..at + code)?);
+        at += code;
+        if code < 0xFF && at < bytes.len() {
+            out.push(0);
+        }
+    }
+    Some(out)
+}
+
+fn crc32(bytes: &[u8]) -> u32 {
+    !bytes.iter().fold(u32::MAX, |crc, &b| {
+        (0..8)
+            .fold(crc ^ u32::from(b), |c, _| if c & 1 == 1 { c >> 1 ^ 0xEDB8_8320 } else { c >> 1 })
+    })
 }
