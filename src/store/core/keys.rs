@@ -1,5 +1,5 @@
 //! API keys: created from random bytes of the caller, stored as hashes, revocable.
-//! Uses: `digest`, `core::writer`. Never: the text of a key in a table, a log or a `Debug`; a read of the
+//! Uses: `digest`, `core::{once, writer}`. Never: the text of a key in a table, a log or a `Debug`; a read of the
 //! store per request.
 //!
 //! A key is found by its sha256, so that the time of a comparison reveals nothing about a guess. A key
@@ -19,7 +19,7 @@ use tracing::Instrument;
 use utoipa::ToSchema;
 
 use super::columns::{Columns, time_text};
-use super::{During, Store, StoreError, StoreResult};
+use super::{During, Store, StoreError, StoreResult, once};
 use crate::digest::sha256_hex;
 use crate::journal::error_chain;
 use crate::plain::violated;
@@ -34,6 +34,7 @@ const USE_GRAIN_S: i64 = 60;
 const KEY_NAME_MAX_CHARS: usize = 100;
 
 const CREATING_KEY: &str = "creating a key";
+const REVOKING_KEY: &str = "revoking a key";
 
 /// Name of a caller without a key and without a name.
 pub const KEYLESS: &str = "local";
@@ -227,8 +228,8 @@ impl KeyRing {
         Ok((row, secret))
     }
 
-    /// Revokes a key. Returns false if no key has this number, or it is already revoked. The key is
-    /// refused from now on; if the write fails, until the service starts again.
+    /// Revokes a key, whose requests cannot be repeated any more. Returns false if no key has this number, or it is already
+    /// revoked. The key is refused from now on; if the write fails, until the service starts again.
     ///
     /// # Errors
     /// `Sql`, `Late` or `Closed` if the write fails.
@@ -239,7 +240,12 @@ impl KeyRing {
             sqlx::query("UPDATE api_keys SET revoked_at = ?2 WHERE id = ?1 AND revoked_at IS NULL")
                 .bind(id)
                 .bind(self.store.now_text());
-        Ok(self.store.inner.writer.execute("revoking a key", query).await? > 0)
+        let write = self.store.write(REVOKING_KEY, async move |connection| {
+            let revoked = query.execute(&mut *connection).await.during(REVOKING_KEY)?;
+            once::forget_caller(connection, id).await.during(REVOKING_KEY)?;
+            Ok(revoked.rows_affected() > 0)
+        });
+        write.await
     }
 
     /// Whether a key has not been revoked.

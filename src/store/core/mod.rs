@@ -11,8 +11,8 @@ pub(crate) mod store;
 pub(crate) mod statements;
 pub(crate) mod facts;
 mod known_facts;
-pub(crate) mod keys;
 pub(crate) mod once;
+pub(crate) mod keys;
 
 pub(crate) use error::{During, StoreError, StoreResult};
 pub(crate) use store::Store;

@@ -8,6 +8,10 @@ use sqlx::sqlite::{SqliteConnection, SqliteRow};
 use super::columns::Columns;
 use super::{During, Store, StoreResult};
 
+/// Removes all requests of the caller `?1` except the newest `?2`.
+pub(crate) const KEEP_NEWEST: &str = "DELETE FROM requests_once WHERE id IN (
+    SELECT id FROM requests_once WHERE caller = ?1 ORDER BY id DESC LIMIT -1 OFFSET ?2)";
+
 /// Name of a request: the caller, and the key that it chose.
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
 pub struct OnceKey {
@@ -99,7 +103,8 @@ impl Store {
                         .during(OPERATION)?;
                 return OnceRow::read(&row, OPERATION).map(Some);
             }
-            keep_newest(connection, key.caller(), most).await.during(OPERATION)?;
+            let surplus = sqlx::query(KEEP_NEWEST).bind(key.caller()).bind(most);
+            surplus.execute(connection).await.during(OPERATION)?;
             Ok(None)
         })
         .await
@@ -135,18 +140,11 @@ impl Store {
     }
 }
 
-async fn keep_newest(
+/// Removes the requests of an API key that is not valid any more.
+pub(super) async fn forget_caller(
     connection: &mut SqliteConnection,
-    caller: i64,
-    most: u32,
+    key_id: i64,
 ) -> Result<(), sqlx::Error> {
-    sqlx::query(
-        "DELETE FROM requests_once WHERE id IN (
-           SELECT id FROM requests_once WHERE caller = ?1 ORDER BY id DESC LIMIT -1 OFFSET ?2)",
-    )
-    .bind(caller)
-    .bind(most)
-    .execute(connection)
-    .await
-    .map(drop)
+    let forget = sqlx::query("DELETE FROM requests_once WHERE caller = ?1").bind(key_id);
+    forget.execute(connection).await.map(drop)
 }

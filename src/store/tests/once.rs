@@ -1,8 +1,11 @@
 //! Requests that are carried out once: what is kept of them, and how many.
 //! Uses: `store`. Never: HTTP.
 
-use super::{execute, fresh, open};
-use crate::{OnceKey, OnceResponse, Store};
+use sqlx::{AssertSqlSafe, Row};
+
+use super::{Folder, execute, fresh, open};
+use crate::core::once::KEEP_NEWEST;
+use crate::{KeyRing, OnceKey, OnceResponse, Role, Store};
 
 fn key(caller: Option<i64>, name: &str) -> OnceKey {
     OnceKey { caller, name: name.into() }
@@ -58,4 +61,45 @@ async fn a_request_is_not_forgotten_because_the_clock_jumps() {
     assert!(is_new(&store, &jog, 9).await);
     execute(&store, "UPDATE requests_once SET began_at = '2020-01-01T00:00:00.000Z'").await;
     assert!(is_new(&store, &other, 9).await && !is_new(&store, &jog, 9).await);
+}
+
+/// No trial is stored meanwhile, and there are 10,000 of each caller.
+#[tokio::test]
+async fn the_oldest_request_is_found_without_sorting_all() {
+    let (_folder, store) = fresh().await;
+    let explained = store.write("explaining a statement", async |connection| {
+        let statement = AssertSqlSafe(format!("EXPLAIN QUERY PLAN {KEEP_NEWEST}"));
+        let query = sqlx::query(statement).bind(1_i64).bind(3_u32);
+        let rows = query.fetch_all(connection).await.unwrap();
+        Ok(rows.iter().map(|row| row.get("detail")).collect::<Vec<String>>())
+    });
+    let steps = explained.await.unwrap();
+    let is_bad = |step: &String| step.contains("TEMP B-TREE") || step.starts_with("SCAN");
+    assert!(!steps.is_empty() && !steps.iter().any(is_bad), "{steps:?}");
+}
+
+#[tokio::test]
+async fn requests_of_a_revoked_key_are_removed() {
+    let (_folder, store) = fresh().await;
+    let ring = KeyRing::load(store.clone()).await.unwrap();
+    let (row, _) = ring.create("night shift", Role::Viewer, [7; 32]).await.unwrap();
+    let (mine, other) = (key(Some(row.id), "k"), key(None, "k"));
+    assert!(is_new(&store, &mine, 9).await && is_new(&store, &other, 9).await);
+    assert!(ring.revoke(row.id).await.unwrap());
+    assert!(is_new(&store, &mine, 9).await && !is_new(&store, &other, 9).await);
+}
+
+#[tokio::test]
+async fn requests_of_keys_that_were_revoked_before_are_removed() {
+    let folder = Folder::new();
+    let filled = "INSERT INTO api_keys (id, name, sha256, role, created_at, revoked_at) VALUES
+         (1, 'a', 'a', 'viewer', '2026-11-20T18:00:00.000Z', '2026-11-20T19:00:00.000Z'),
+         (2, 'b', 'b', 'viewer', '2026-11-20T18:00:00.000Z', NULL);
+         INSERT INTO requests_once (caller, name, request, began_at) VALUES
+         (0, 'k', 'sha', '2026-11-20T18:00:00.000Z'), (1, 'k', 'sha', '2026-11-20T18:00:00.000Z'),
+         (2, 'k', 'sha', '2026-11-20T18:00:00.000Z')";
+    let store = folder.open_from_before(26, filled).await;
+    for (caller, is_removed) in [(None, false), (Some(1), true), (Some(2), false)] {
+        assert_eq!(is_new(&store, &key(caller, "k"), 9).await, is_removed, "{caller:?}");
+    }
 }
