@@ -179,22 +179,24 @@ impl Writer {
     /// Writes a note, repeatedly until it succeeds; a note that the store refuses is logged.
     async fn write_note(&mut self, note: &Note, at: Timestamp) {
         let mut pause = WRITE_PAUSE[0];
-        let (mut waits, mut missing) = (false, 0);
+        let (mut waits, mut gap) = (false, None);
         loop {
-            if missing == 0 {
-                missing = self.missing.swap(0, Ordering::Relaxed);
-            }
-            let written = match missing {
-                0 => Ok(()),
-                n => {
-                    // The same count again: what failed may be stored.
-                    let data = json!({ "notes": n });
+            gap = gap.or_else(|| match self.missing.swap(0, Ordering::Relaxed) {
+                0 => None,
+                // Not the time of the note: the gaps before it and before the next one may be alike.
+                count => Some((count, Timestamp::now())),
+            });
+            let written = match gap {
+                None => Ok(()),
+                Some((count, at)) => {
+                    // The same event again: what failed may be stored.
+                    let data = json!({ "notes": count });
                     guarded(self.journal.event(None, "diary_gap", data, at)).await.map(|_| ())
                 }
             };
             let written = match written {
                 Ok(()) => {
-                    missing = 0;
+                    gap = None;
                     guarded(put(self.journal.as_ref(), note, at)).await
                 }
                 Err(error) => Err(error),
@@ -207,7 +209,7 @@ impl Writer {
             };
             let words = error_chain(&error);
             if error.refused {
-                self.missing.fetch_add(missing, Ordering::Relaxed);
+                self.missing.fetch_add(gap.map_or(0, |(count, _)| count), Ordering::Relaxed);
                 tracing::error!(error = words, ?note, "the store refuses this note");
                 return;
             }
@@ -312,5 +314,27 @@ async fn put(journal: &dyn Journal, note: &Note, at: Timestamp) -> Result<(), Jo
             journal.skip(*run, *configuration, reason, at).await
         }
         Note::Mounted(mounting) => journal.mounted(mounting, at).await,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::campaign::bench::stand_in::Forgetful;
+
+    #[tokio::test]
+    async fn two_gaps_of_one_note_before_notes_of_one_time_are_two_events() {
+        let journal = Arc::new(Forgetful::default());
+        let (diary, _writing) = Diary::open(journal.clone());
+        let at = Timestamp::UNIX_EPOCH;
+        for kind in ["state", "rig"] {
+            diary.missing.store(1, Ordering::Relaxed);
+            let note = Note::Event { run: None, kind: kind.into(), data: json!({}) };
+            diary.entries.try_send((Entry::Note(note, at), Span::none())).unwrap();
+            diary.flush().await.unwrap();
+        }
+        assert_eq!(*journal.events.lock(), ["diary_gap", "state", "diary_gap", "rig"]);
+        let times = journal.times.lock();
+        assert!(times[1] == at && times[3] == at && times[0] != times[2], "{times:?}");
     }
 }

@@ -8,7 +8,7 @@ use crate::core::{Store, StoreResult};
 use crate::journal::Mounting;
 
 impl Store {
-    /// Stores the confirmed number of tips.
+    /// Stores the confirmed number of tips. A repetition after a failure does not store it twice.
     ///
     /// # Errors
     /// `Sql` or `Closed` if the write fails.
@@ -18,7 +18,11 @@ impl Store {
         at: Timestamp,
     ) -> StoreResult<()> {
         let query = sqlx::query(
-            "INSERT INTO mountings (tips, live_cells, who, at) VALUES (?1, ?2, ?3, ?4)",
+            "INSERT INTO mountings (tips, live_cells, who, at)
+             SELECT ?1, ?2, ?3, ?4 WHERE NOT EXISTS (
+               SELECT 1 FROM mountings
+               WHERE id = (SELECT max(id) FROM mountings) AND tips = ?1 AND live_cells = ?2
+                 AND who = ?3 AND at = ?4)",
         )
         .bind(mounting.tips)
         .bind(mounting.live_cells)

@@ -6,7 +6,7 @@ use serde_json::json;
 use super::{hex_trial, time, with_run};
 use crate::RunKind;
 use crate::ids::TrialKey;
-use crate::journal::Journal;
+use crate::journal::{Journal, Mounting};
 use crate::record::{
     ArmTouch, AttemptRecord, ReferenceRecord, TareRecord, TouchOffRecord, Untouched,
 };
@@ -36,6 +36,7 @@ async fn a_record_whose_commit_failed_but_was_stored_is_not_stored_again() {
         touches: vec![ArmTouch { x_mm: 270.0, y_mm: 280.0, arm: 1, z_mm: 41.2 }],
         at,
     };
+    let mounting = Mounting { tips: 2, live_cells: 4, who: "Ada".into() };
     let data = json!({ "state": "homed" });
     for is_repeated in [false, true] {
         let fail = async || {
@@ -53,6 +54,8 @@ async fn a_record_whose_commit_failed_but_was_stored_is_not_stored_again() {
         assert_eq!(store.reference(run, &press).await.is_ok(), is_repeated);
         fail().await;
         assert_eq!(store.touch_off(run, &found).await.is_ok(), is_repeated);
+        fail().await;
+        assert_eq!(store.mounted(&mounting, at).await.is_ok(), is_repeated);
         for of in [None, Some(run)] {
             fail().await;
             assert_eq!(store.event(of, "rig", data.clone(), at).await.is_ok(), is_repeated);
@@ -64,6 +67,12 @@ async fn a_record_whose_commit_failed_but_was_stored_is_not_stored_again() {
     assert_eq!(store.untouched_frames(run, 9).await.unwrap(), [skin]);
     assert_eq!(store.references(run).await.unwrap(), [press]);
     assert_eq!(store.touch_offs(run).await.unwrap(), [found]);
+    let mountings = store.write("counting mountings", async |connection| {
+        let count = "SELECT count(*) FROM mountings";
+        let count: i64 = sqlx::query_scalar(count).fetch_one(connection).await.unwrap();
+        Ok(count)
+    });
+    assert_eq!(mountings.await.unwrap(), 1);
     let events = store.events_since(0, 9, None, &[]).await.unwrap();
     assert_eq!(events.iter().map(|event| event.run).collect::<Vec<_>>(), [None, Some(run)]);
     let again = store.event(Some(run), "rig", data.clone(), at).await.unwrap();

@@ -296,7 +296,8 @@ impl StandIns {
     }
 }
 
-/// A journal that takes everything and keeps only the kinds of the events; which trials are stored a test states.
+/// A journal that takes everything and keeps only the kinds and times of the events; which trials are stored a test
+/// states.
 #[derive(Debug, Default)]
 pub struct Forgetful {
     /// Keys of the trials that are stored.
@@ -305,6 +306,8 @@ pub struct Forgetful {
     pub discards_fail: AtomicBool,
     /// Kind of each event.
     pub events: Mutex<Vec<String>>,
+    /// Wall time of each event.
+    pub times: Mutex<Vec<Timestamp>>,
     /// When a person took the operator lock.
     pub locked_at: Mutex<Option<Timestamp>>,
 }
@@ -373,6 +376,7 @@ impl Journal for Forgetful {
         at: Timestamp,
     ) -> Result<Event, JournalError> {
         self.events.lock().push(kind.into());
+        self.times.lock().push(at);
         Ok(Event { seq: 1, run, at, kind: kind.into(), data })
     }
 
