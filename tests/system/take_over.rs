@@ -127,7 +127,6 @@ async fn a_pause_of_a_run_that_is_about_to_be_driven_again_holds_it() {
     let words = String::from_utf8_lossy(&paused.stderr);
     assert!(words.contains("start it again, or abort it"), "{words}");
     lab.interrupted(&run).await;
-    // The next attempt is the last one.
     lab.told("not_resumed", "a person has operated the rig").await;
     lab.rests("disarmed").await;
     lab.close().await;

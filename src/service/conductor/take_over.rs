@@ -133,8 +133,7 @@ impl Conductor {
             }
             if let Some(due) = first.into_iter().find(|run| present.lets_begin(run)) {
                 let status = self.inner.campaign.status();
-                let is_up = status.run.is_some() || status.rig.is_ready();
-                if is_up {
+                if status.run.is_some() || status.rig.is_ready() {
                     return Ok(None);
                 }
                 let signs = self.inner.signs.load(Ordering::SeqCst);
@@ -287,8 +286,7 @@ impl Conductor {
             campaign.ask(Request::Connect).await?;
         }
         let rig = campaign.status().rig;
-        let is_manual = run.kind == RunKind::RealRandom;
-        if rig.is_ready() || is_manual && rig.state == RigState::Disarmed {
+        if rig.is_ready() || run.kind == RunKind::RealRandom && rig.state == RigState::Disarmed {
             return Ok(());
         }
         if rig.state == RigState::Disarmed {
@@ -307,13 +305,14 @@ impl Conductor {
                         // Refused if nothing moves any more.
                         let _ = campaign.ask(Request::Abort).await;
                     }
-                    return Err(Refusal::State("the run was aborted or held".into()));
+                    self.require_not_operated(run.uid)?;
+                    return Err(Refusal::State("the run was aborted or held".into()).into());
                 }
                 match rig.state {
-                    RigState::Homed => return Ok(()),
+                    RigState::Homed => return Ok::<_, ConductorError>(()),
                     RigState::Tripped => {
                         let why = rig.trip.map_or_else(String::new, |t| t.detail);
-                        return Err(Refusal::State(format!("the rig tripped: {why}")));
+                        return Err(Refusal::State(format!("the rig tripped: {why}")).into());
                     }
                     RigState::Disconnected | RigState::Disarmed | RigState::Armed => {
                         tokio::time::sleep(HOMING_POLL).await;
@@ -321,12 +320,11 @@ impl Conductor {
                 }
             }
         };
-        let late = || {
+        tokio::time::timeout(HOMING_WAIT, homed).await.unwrap_or_else(|_| {
             let limit_s = HOMING_WAIT.as_secs();
-            Err(Refusal::State(format!("the rig was not homed within {limit_s} s: check its axes")))
-        };
-        tokio::time::timeout(HOMING_WAIT, homed).await.unwrap_or_else(|_| late())?;
-        Ok(())
+            let words = format!("the rig was not homed within {limit_s} s: check its axes");
+            Err(Refusal::State(words).into())
+        })
     }
 }
 
@@ -486,15 +484,17 @@ mod tests {
     #[tokio::test]
     async fn the_homing_for_a_run_ends_if_a_person_operates_the_rig() {
         let (conductor, mut inbox, _folder) = conductor().await;
-        earlier(&conductor).await;
+        let [run, _next] = earlier(&conductor).await;
         inbox.status.send_modify(|status| status.rig.state = RigState::Disarmed);
-        tokio::select! {
-            taken = conductor.resume_after_restart(AutoResume::Allowed) => panic!("{taken:?}"),
-            () = async {
-                granted(&mut inbox, |request| matches!(request, Request::Home)).await;
-                conductor.note_operation();
-                granted(&mut inbox, |request| matches!(request, Request::Abort)).await;
-            } => {}
-        }
+        let operates = async {
+            granted(&mut inbox, |request| matches!(request, Request::Home)).await;
+            conductor.note_operation();
+            granted(&mut inbox, |request| matches!(request, Request::Abort)).await;
+        };
+        let resumes = conductor.resume_after_restart(AutoResume::Allowed);
+        let (taken, ()) = tokio::join!(resumes, operates);
+        assert!(matches!(taken, Err(ConductorError::Forbidden(_))), "{taken:?}");
+        let tries = conductor.inner.store.events_of_kinds(run.uid, &["not_resumed"], 9);
+        assert_eq!(tries.await.unwrap().len(), 1, "it is not tried again");
     }
 }

@@ -228,8 +228,9 @@ impl KeyRing {
         Ok((row, secret))
     }
 
-    /// Revokes a key, whose requests cannot be repeated any more. Returns false if no key has this number, or it is already
-    /// revoked. The key is refused from now on; if the write fails, until the service starts again.
+    /// Revokes a key, and removes its requests that were carried out once. Returns false if no key has this
+    /// number, or it is already revoked. The key is refused from now on; if the write fails, until the service
+    /// starts again.
     ///
     /// # Errors
     /// `Sql`, `Late` or `Closed` if the write fails.
