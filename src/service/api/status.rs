@@ -16,10 +16,11 @@ use super::people::LockOut;
 use super::problem::ApiResult;
 use super::refusals::{self, ActionStatus};
 use super::suspenders::{Readings, Suspender};
-use crate::campaign::shown::status::Status;
+use crate::campaign::shown::status::{RunStatus, Status};
 use crate::conductor::{resumes_automatically, room};
 use crate::ids::RunUid;
 use crate::schedule::experiment::{Experiment, TwinLimits};
+use crate::state::PausedWhy;
 use crate::store::{LockRow, StoreError, StoreResult};
 
 /// Time after which a pause is stored, unless the database fails, wall.
@@ -85,8 +86,8 @@ pub(super) struct StoredPart {
     /// Space that the queued runs need, bytes.
     queue_bytes: u64,
     last_trial_at: Option<Timestamp>,
-    /// The active run, if a service that starts now would resume it automatically.
-    resumes: Option<RunUid>,
+    /// The active run, if a service that starts now would resume it automatically, and when its row was read.
+    resumes: Option<(RunUid, Timestamp)>,
     /// Limits of the fit of the active run; absent without one.
     limits: Option<Arc<TwinLimits>>,
     /// Name and number of trials of the first run of the queue.
@@ -128,6 +129,7 @@ impl App {
         let queue = self.store.queue().await?;
         let channels = self.serving.sensor().channels() as u64;
         let active = self.campaign.status().run.map(|run| run.uid);
+        let read_at = Timestamp::now();
         let (last_trial_at, limits, predicted, row) = match active {
             Some(run) => (
                 self.store.last_trial_at(run).await?,
@@ -151,7 +153,7 @@ impl App {
             not_begun: self.conductor.not_begun().await?,
             queue_bytes,
             last_trial_at,
-            resumes: row.filter(resumes_automatically).map(|row| row.uid),
+            resumes: row.filter(resumes_automatically).map(|row| (row.uid, read_at)),
             limits,
             next: queue.first().map(|run| (run.experiment.clone(), run.trials_planned)),
             predicted,
@@ -197,15 +199,11 @@ impl App {
         let suspenders = self.facts.memory.beyond.suspenders(readings.as_ref(), Timestamp::now());
         let of_run = campaign.run.as_ref().map_or(0, |run| run.needed_bytes);
         let needed_bytes = of_run + stored.queue_bytes;
-        let waits = campaign.run.as_ref().and_then(|run| Some((run.uid, run.waits_since?)));
         let around = Around {
             not_begun: stored.not_begun.as_deref(),
             space: free_bytes.map(|free_bytes| (free_bytes, needed_bytes)),
             suspenders: &suspenders,
-            is_unstored: waits.is_some_and(|(run, since)| {
-                let is_late = Timestamp::now().duration_since(since) > STORED_WITHIN;
-                is_late && stored.resumes == Some(run)
-            }),
+            is_unstored: campaign.run.as_ref().is_some_and(|run| is_unstored(run, stored.resumes)),
         };
         let facts = Facts {
             next: stored.next.as_ref().map(|(name, trials)| (name.as_str(), *trials)),
@@ -233,5 +231,36 @@ impl App {
             last_trial_at: stored.last_trial_at,
             suspenders,
         }
+    }
+}
+
+/// Whether a run waits, and was stored as one that resumes automatically although it had waited for a while. `resumes`:
+/// such a run, and when it was read: what was read earlier states nothing.
+fn is_unstored(run: &RunStatus, resumes: Option<(RunUid, Timestamp)>) -> bool {
+    let (Some(since), Some((uid, read_at))) = (run.waits_since, resumes) else { return false };
+    // As the service ends a run waits for the next one.
+    let is_held = run.paused_why != Some(PausedWhy::Restart);
+    is_held && uid == run.uid && read_at.duration_since(since) > STORED_WITHIN
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::needs::tests::waiting;
+    use super::*;
+
+    #[test]
+    fn a_pause_is_not_stored_if_its_run_was_read_as_running_long_after_it() {
+        let run = waiting(PausedWhy::Operator);
+        let read = |after_s| Timestamp::UNIX_EPOCH + SignedDuration::from_secs(after_s);
+        assert!(is_unstored(&run, Some((run.uid, read(4)))));
+        // It is still being stored, was read before, or is another run.
+        for (uid, after_s) in [(run.uid, 2), (run.uid, -4), (RunUid::new(), 4)] {
+            assert!(!is_unstored(&run, Some((uid, read(after_s)))), "{after_s}");
+        }
+        assert!(!is_unstored(&run, None));
+        let ends = RunStatus { uid: run.uid, ..waiting(PausedWhy::Restart) };
+        assert!(!is_unstored(&ends, Some((run.uid, read(4)))), "it resumes as it should");
+        let runs = RunStatus { waits_since: None, paused_why: None, ..run.clone() };
+        assert!(!is_unstored(&runs, Some((run.uid, read(4)))));
     }
 }
