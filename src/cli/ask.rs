@@ -134,9 +134,9 @@ pub async fn act_in_time(
 /// The run of an action, as it was before.
 #[derive(Debug, Clone, Copy)]
 pub struct ActedRun {
-    /// Its id.
+    /// Id that the API knows it by.
     pub uid: RunUid,
-    /// Its number.
+    /// Number that people use.
     pub scan_id: i64,
     /// Why it is paused, if it is.
     pub paused_why: Option<PausedWhy>,

@@ -316,8 +316,8 @@ pub fn fit(
     })
 }
 
-/// Which trials each of a series of fits takes: one of so many, first the fewest. A fit of many trials begins where that of
-/// a quarter of them, with coarser fields, has ended.
+/// Strides through the trials of a series of fits, the largest first: a fit of many trials begins where that of a quarter of
+/// them, with coarser fields, has ended.
 fn strides(trials: usize) -> Vec<usize> {
     let mut strides = vec![1];
     while trials / strides[0] >= MANY_TRIALS {
@@ -335,28 +335,31 @@ struct End {
     costs: Vec<f64>,
 }
 
-/// Descends from a start, moves electrodes while this ends better, and descends to the end.
+/// Descends from a start, moves electrodes while this ends better, and descends to the end. Before the last try to move
+/// them the other parameters are as good as they get.
 fn search(sweep: &mut Sweep<'_>, start: Start) -> Result<End, SkinFitError> {
     let (vector, offsets_v) = (start.vector.clone(), start.offsets_v.clone());
     let mut costs = Vec::new();
     let mut best = descended(sweep, start, NEARLY, &mut costs)?;
-    for _ in 0..PLACINGS {
-        let Some(there) = best.as_ref().map_or(Ok(None), |best| best.placed(sweep))? else {
-            break;
-        };
-        let mut after = costs.clone();
-        let moved = descended(sweep, there, NEARLY, &mut after)?;
-        let parameters = sweep.parameters();
-        let is_better = |(moved, best): (&Step, &Step)| moved.is_better(best, parameters);
-        if !moved.as_ref().zip(best.as_ref()).is_some_and(is_better) {
+    let (mut placings, mut is_end) = (0, false);
+    while let Some(found) = &best {
+        let moved = if placings < PLACINGS { found.placed(sweep)? } else { None };
+        placings += 1;
+        if let Some(there) = moved {
+            let mut after = costs.clone();
+            let moved = descended(sweep, there, NEARLY, &mut after)?;
+            if moved.as_ref().is_some_and(|moved| moved.is_better(found, sweep.parameters())) {
+                (best, costs, is_end) = (moved, after, false);
+                continue;
+            }
+        }
+        if is_end {
             break;
         }
-        (best, costs) = (moved, after);
-    }
-    if let Some(found) = &best
-        && let Some(last) = descended(sweep, found.start(), ENOUGH, &mut costs)?
-    {
-        best = Some(last);
+        is_end = true;
+        if let Some(last) = descended(sweep, found.start(), ENOUGH, &mut costs)? {
+            best = Some(last);
+        }
     }
     let factors = vec![1.0; sweep.trials().len()];
     Ok(match best {

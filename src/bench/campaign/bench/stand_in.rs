@@ -188,6 +188,8 @@ pub struct Cells {
     pub volts: Mutex<[f64; ARMS]>,
     /// Whether they reply.
     pub replies: AtomicBool,
+    /// Readings that were asked for.
+    pub readings: AtomicU64,
     /// Time that a reply takes, wall time.
     pub takes: Mutex<Duration>,
     /// z, and the height from which on arm 1 touches the skin, machine mm; none: no arm does.
@@ -201,6 +203,7 @@ impl LoadCells for Cells {
     }
 
     async fn read(&self) -> Result<CellVolts, RigError> {
+        self.readings.fetch_add(1, Ordering::SeqCst);
         if !self.replies.load(Ordering::SeqCst) {
             let (device, operation) = ("cells".into(), "values".into());
             return Err(RigError::NoReply { device, operation, timeout_ms: 300 });
@@ -265,8 +268,13 @@ impl Default for StandIns {
     fn default() -> Self {
         let [x, y, z, radial] = ["x", "y", "z", "radial"].map(StandIn::new);
         let (volts, replies) = (Mutex::new([0.5; ARMS]), AtomicBool::new(true));
-        let cells =
-            Arc::new(Cells { volts, replies, takes: Mutex::default(), surface: Mutex::default() });
+        let cells = Arc::new(Cells {
+            volts,
+            replies,
+            readings: AtomicU64::default(),
+            takes: Mutex::default(),
+            surface: Mutex::default(),
+        });
         Self { x, y, z, radial, cells, journal: Arc::default() }
     }
 }

@@ -20,11 +20,16 @@ async fn nothing_homes_by_itself_after_a_request_to_the_rig_while_the_devices_we
     job.plan.policy.auto_resume_after_s = 0.0;
     trip(&mut engine, &job);
     *axes.cells.takes.lock() = Duration::from_millis(50);
+    let cells = axes.cells.clone();
     // Without a handle there is no request to wait for.
-    let asks = async move { handle.ask(Request::Home).await };
+    let asks = async move {
+        while cells.readings.load(Ordering::SeqCst) == 0 {
+            tokio::time::sleep(Duration::from_millis(1)).await;
+        }
+        handle.ask(Request::Home).await
+    };
     let (mut attempts, mut resumes) = (Attempts::default(), 1);
     let waits = engine.wait(&job, &mut attempts, Some(&mut resumes));
-    // In this order: it is requested once the cells are awaited.
     let (next, asked) = futures::join!(waits, asks);
     assert!(matches!(next, Next::Leave) && asked.is_err(), "{asked:?}");
     let starts = [&axes.x, &axes.z].map(|axis| axis.starts.load(Ordering::SeqCst));
