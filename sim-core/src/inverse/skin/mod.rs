@@ -35,8 +35,6 @@ const NEARLY: f64 = 5e-2;
 /// How often electrode positions are searched, each time after the other parameters have converged: a search among
 /// inaccurate parameters ends with electrodes that are displaced for good.
 const PLACINGS: usize = 5;
-/// From this number of trials on, a fit begins at the end of a coarser one.
-const MANY_TRIALS: usize = 1000;
 /// Lower limit of the noise, V: a converter's step.
 const LEAST_NOISE_V: f64 = 1e-5;
 
@@ -165,6 +163,8 @@ pub struct SkinFitOptions {
     pub spacing_mm: f64,
     /// Largest number of Gauss-Newton steps of each fit in the series.
     pub steps: usize,
+    /// Number of trials from which on a fit begins at the end of one of a quarter of them, at least 1.
+    pub many_trials: usize,
     /// Number of threads; the result does not depend on it.
     pub threads: usize,
 }
@@ -177,6 +177,7 @@ impl SkinFitOptions {
             errors: TrialErrors::default(),
             spacing_mm: spacing_mm(trials),
             steps: 30,
+            many_trials: 1000,
             threads,
         }
     }
@@ -279,7 +280,7 @@ pub fn fit(
     progress: &mut dyn FnMut(SkinProgress),
 ) -> Result<SkinFit, SkinFitError> {
     check(sensor, trials)?;
-    let strides = strides(trials.len());
+    let strides = strides(trials.len(), options.many_trials);
     let steps = strides.len() * options.steps;
     let total = strides.iter().map(|s| most_done(trials.len().div_ceil(*s), options)).sum();
     let mut at = SkinProgress { step: 0, steps, cost: None, done: 0, total };
@@ -318,9 +319,9 @@ pub fn fit(
 
 /// Strides through the trials of a series of fits, the largest first: a fit of many trials begins where that of a quarter of
 /// them, with coarser fields, has ended.
-fn strides(trials: usize) -> Vec<usize> {
+fn strides(trials: usize, many_trials: usize) -> Vec<usize> {
     let mut strides = vec![1];
-    while trials / strides[0] >= MANY_TRIALS {
+    while trials / strides[0] >= many_trials.max(1) {
         strides.insert(0, 4 * strides[0]);
     }
     strides
@@ -343,7 +344,8 @@ fn search(sweep: &mut Sweep<'_>, start: Start) -> Result<End, SkinFitError> {
     let mut best = descended(sweep, start, NEARLY, &mut costs)?;
     let (mut placings, mut is_end) = (0, false);
     while let Some(found) = &best {
-        let moved = if placings < PLACINGS { found.placed(sweep)? } else { None };
+        let may_move = placings < PLACINGS && !sweep.is_over();
+        let moved = if may_move { found.placed(sweep)? } else { None };
         placings += 1;
         if let Some(there) = moved {
             let mut after = costs.clone();

@@ -128,7 +128,7 @@ impl<'a> Sweep<'a> {
 
     /// Starts the next step; false if all are taken.
     pub fn begin(&mut self, cost: Option<f64>) -> bool {
-        if self.at.step == self.at.steps {
+        if self.is_over() {
             return false;
         }
         let step = PASSES * self.trials.len();
@@ -137,6 +137,11 @@ impl<'a> Sweep<'a> {
         self.end = step * self.at.step;
         self.at.cost = cost;
         true
+    }
+
+    /// Whether all steps are taken.
+    pub fn is_over(&self) -> bool {
+        self.at.step == self.at.steps
     }
 
     /// The current step, from 1.
