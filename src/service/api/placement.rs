@@ -140,8 +140,8 @@ fn stage(run: &RunStatus, trial: u32) -> Option<Stage> {
 /// The request that confirms what a run waits for. A placement is judged first.
 ///
 /// # Errors
-/// 409 if the run waits for nothing now, or with the reasons if the skin contradicts the placement, unless it is to be
-/// stored anyway.
+/// 409 if the run waits for nothing now and nothing is stated, or with the reasons if the skin contradicts the placement,
+/// unless it is to be stored anyway.
 pub async fn confirmation(
     app: &App,
     done: Done,
@@ -171,18 +171,20 @@ pub async fn confirmation(
 /// run waits for when the campaign reads it, for example the next placement, which was not judged.
 ///
 /// # Errors
-/// A refusal if the run waits for nothing now.
+/// A refusal if nothing is stated and the run waits for nothing now.
 fn completed(done: Done, status: &Status) -> Result<Done, Refusal> {
-    if let Some(words) = ActionOnRun::Confirm.refused(status) {
-        return Err(Refusal::State(words));
-    }
-    Ok(match status.run.as_ref().and_then(|run| run.wanted.as_ref()) {
+    if done != Done::default() {
         // The campaign refuses what does not fit.
-        Some(wanted) if !done.fits(wanted) => done,
-        Some(Wanted::Tips { tips }) => Done { tips: Some(*tips), ..done },
-        Some(Wanted::Placement { trial, .. }) => Done { trial: Some(*trial), ..done },
-        None => done,
-    })
+        return Ok(done);
+    }
+    match status.run.as_ref().and_then(|run| run.wanted.as_ref()) {
+        Some(Wanted::Tips { tips }) => Ok(Done { tips: Some(*tips), ..done }),
+        Some(Wanted::Placement { trial, .. }) => Ok(Done { trial: Some(*trial), ..done }),
+        None => {
+            let words = ActionOnRun::Confirm.refused(status);
+            Err(Refusal::State(words.unwrap_or_else(|| "the run waits for nothing".into())))
+        }
+    }
 }
 
 #[cfg(test)]
