@@ -386,6 +386,8 @@ def main() -> int:
     parser.add_argument("--cargo", action="store_true")
     parser.add_argument("--folder", type=pathlib.Path)
     args = parser.parse_intermixed_args()
+    # A shell that starts this in the background has SIGINT ignored, also in what the blocks start: they would not end.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     alone()
     if doctest.testmod(blocks).failed:
         return 1
