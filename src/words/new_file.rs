@@ -101,8 +101,12 @@ impl NewFile {
     /// Creates a file under a temporary name in the folder of `path`, which is created if needed.
     ///
     /// # Errors
-    /// If folder or file cannot be created.
+    /// If folder or file cannot be created, or the path is that of a device, a pipe or a folder: it would be replaced.
     pub fn create_for(path: &Path) -> io::Result<Self> {
+        if fs::metadata(path).is_ok_and(|found| !found.is_file()) {
+            let words = "it exists and is not a regular file";
+            return Err(io::Error::new(io::ErrorKind::InvalidInput, words));
+        }
         // The folder of a name alone is the present one.
         let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
         Self::create(folder.unwrap_or(Path::new(".")))
@@ -251,6 +255,13 @@ mod tests {
             entries.map(|e| e.unwrap().file_name().to_string_lossy().into_owned()).collect();
         names.sort();
         names
+    }
+
+    #[test]
+    fn a_device_is_not_replaced() {
+        let refused = NewFile::create_for(Path::new("/dev/null")).err().unwrap();
+        assert_eq!(refused.to_string(), "it exists and is not a regular file");
+        assert!(NewFile::create_for(&std::env::temp_dir()).is_err());
     }
 
     #[test]
