@@ -30,7 +30,7 @@ impl Output {
         }
     }
 
-    /// Prints a value for scripts, or a text whose lines stay whole, as [`say_whole`] does.
+    /// Prints a value for scripts, or a text whose lines stay whole, as `say_whole` does.
     pub fn say_whole(self, value: &impl Serialize, text: impl Display) {
         match self {
             Self::Json => say_json(value),
