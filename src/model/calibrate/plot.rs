@@ -7,7 +7,7 @@ use super::CalibrateError;
 use super::foam::{FittedRow, FoamFit};
 use super::piezo::PiezoFit;
 use crate::figure::style::{AxesStyle, COLOURS, INK, dash, decade, framed, legend, plain};
-use crate::figure::{Area, Drawn, Heading, PageSize, figure};
+use crate::figure::{Area, Drawn, Heading, PageSize, figure, with_n};
 
 const FIT_SIZE: PageSize = PageSize { width_px: 860, height_px: 520 };
 const FIT: RGBColor = COLOURS[1];
@@ -143,7 +143,7 @@ fn series(fit: &FoamFit) -> Vec<(String, Vec<FittedRow>)> {
         let rows: Vec<FittedRow> =
             fit.rows.iter().filter(|r| whole_mm(r) == distance).copied().collect();
         let name = distance.map_or("tip".into(), |mm| format!("gauge at {mm} mm"));
-        (format!("{name}, n = {}", rows.len()), rows)
+        (with_n(&name, rows.len() as u64), rows)
     };
     distances.into_iter().map(named).collect()
 }

@@ -13,7 +13,8 @@ use crate::figure::skin::Outline;
 use crate::figure::style::{
     AxesStyle, COLOURS, INK, SMALL, dash, diverging, framed, legend, plain, whole,
 };
-use crate::figure::{Area, Drawn, Heading, PageSize, figure};
+use crate::figure::{Area, Drawn, Heading, PageSize, figure, with_n};
+use crate::plain::grouped;
 
 /// Width of the skin in a panel, px.
 const SKIN_PX: u32 = 350;
@@ -103,8 +104,9 @@ fn distributions(area: &Area<'_>, fitted: &CalibratedSkin) -> Drawn {
     let ends =
         |of: fn(f64, f64) -> f64, start: f64| before.iter().chain(&after).copied().fold(start, of);
     let (low, high) = (ends(f64::min, 0.1), ends(f64::max, 1.0));
+    let counts = with_n("held-out trials", before.len() as u64);
     let mut chart = framed(area, [12, 46, 58])
-        .caption(format!("held-out trials, n = {} and {}", before.len(), after.len()), SMALL)
+        .caption(format!("{counts} and {}", grouped(after.len() as u64)), SMALL)
         .build_cartesian_2d((low..high).log_scale(), 0.0..100.0)?;
     chart
         .configure_mesh()

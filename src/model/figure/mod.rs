@@ -1,5 +1,5 @@
 //! The frame of every figure: a white page as SVG text, with title, label and n above the drawing.
-//! PURE. Uses: plotters (SVG). Never: files, a figure without title, label and n.
+//! PURE. Uses: plotters (SVG), `plain` (counts). Never: files, a figure without title, label and n.
 //!
 //! `style`: fonts, colours, legends. `skin`: the outline of a skin. `tour`: a plan on the skin. `series`:
 //! bars, lines and dots.
@@ -15,6 +15,8 @@ pub mod tour;
 pub mod series;
 
 use style::{FONT, INK};
+
+use crate::plain::{counted, grouped};
 
 /// The part of a page below its heading, or a part of it.
 pub type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
@@ -78,11 +80,7 @@ impl Heading {
     fn below(&self) -> String {
         let label = if self.label.is_empty() { "no label" } else { &self.label };
         let note = if self.note.is_empty() { String::new() } else { format!(". {}", self.note) };
-        format!(
-            "{label}, n = {} {}{note}",
-            self.n,
-            if self.n == 1 { singular(&self.of) } else { &self.of }
-        )
+        format!("{label}, n = {}{note}", counted(self.n, singular(&self.of), &self.of))
     }
 
     /// Lines of the title, and lines below it, on a page of this width.
@@ -91,6 +89,11 @@ impl Heading {
         let most = |(_, _, character_px): (i32, i32, u32)| (room / character_px) as usize;
         [wrapped(&self.title, most(TITLE)), wrapped(&self.below(), most(NOTE))]
     }
+}
+
+/// A name in a figure with the number of things that it covers: `1 contact, n = 1,171`.
+pub fn with_n(name: &str, n: u64) -> String {
+    format!("{name}, n = {}", grouped(n))
 }
 
 /// A plural in `s` as a singular: `trials`, `presses`.
@@ -160,11 +163,12 @@ mod tests {
     #[test]
     fn every_figure_states_title_label_and_n() {
         let heading =
-            Heading::new("Force over depth", 12, "trials", "virtual").with_note("Dots: 1");
+            Heading::new("Force over depth", 1171, "trials", "virtual").with_note("Dots: 1");
         let size = PageSize { width_px: 400, height_px: 100 };
         let svg = figure(size, &heading, |_| Ok(())).unwrap();
         assert!(svg.contains("Force over depth"), "{svg}");
-        assert!(svg.contains("virtual, n = 12 trials. Dots: 1"), "{svg}");
+        assert!(svg.contains("virtual, n = 1,171 trials. Dots: 1"), "{svg}");
+        assert_eq!(with_n("1 contact", 33_000), "1 contact, n = 33,000");
         assert!(svg.starts_with("<svg width=\"400\" height=\"168\""), "{svg}");
     }
 

@@ -10,7 +10,7 @@ use plotters::style::text_anchor::{HPos, Pos, VPos};
 
 use super::figures::{FigureResult, page};
 use crate::figure::style::{AxesStyle, COLOURS, INK, SMALL, TEXT, TINY, framed, plain, whole};
-use crate::figure::{Area, Drawn, Heading, PageSize};
+use crate::figure::{Area, Drawn, Heading, PageSize, with_n};
 
 /// A named line of points.
 #[derive(Debug, Clone, PartialEq)]
@@ -212,7 +212,7 @@ pub fn bars(heading: &Heading, x: &str, bars: &[Bar]) -> FigureResult<String> {
             .y_labels(count)
             .y_label_formatter(&|at| {
                 let bar = from_top(at, bars);
-                bar.map_or(String::new(), |bar| format!("{}, n = {}", bar.name, bar.n))
+                bar.map_or(String::new(), |bar| with_n(&bar.name, bar.n))
             })
             .styled()
             .draw()?;

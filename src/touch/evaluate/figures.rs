@@ -7,8 +7,8 @@ use plotters::style::colors::colormaps::ViridisRGB;
 
 use crate::figure::skin::{Outline, colour_bar};
 use crate::figure::style::{AxesStyle, COLOURS, INK, TINY, framed, legend, plain, whole};
-use crate::figure::{Area, Drawn, Heading, PageSize};
-use crate::plain::counted;
+use crate::figure::{Area, Drawn, Heading, PageSize, with_n};
+use crate::plain::{counted, grouped};
 use crate::record::CONTACTS_MAX;
 
 use super::simulation::{BoxPlot, FORCE_BIN_N, FORCE_END_N, ForceBin, PointFit, SimulationReport};
@@ -157,7 +157,7 @@ pub fn by_force(
             let trials: u64 = bins.iter().map(|bin| bin.trials).sum();
             chart
                 .draw_series(dots.map(|at| Circle::new(at, 4, colour.filled())))?
-                .label(format!("{}, n = {trials}", contacts_words(*contacts)))
+                .label(with_n(&contacts_words(*contacts), trials))
                 .legend(move |(x, y)| Circle::new((x + 11, y), 4, colour.filled()));
         }
         let position = match quantity {
@@ -253,8 +253,8 @@ pub fn boxes(
             ])?;
             let line = [(x - 0.25, median), (x + 0.25, median)];
             chart.draw_series([PathElement::new(line, INK.stroke_width(3))])?;
-            let count = Text::new(format!("n = {trials}"), (x - 0.25, high + 0.04 * top), TINY);
-            chart.draw_series([count])?;
+            let count = format!("n = {}", grouped(trials));
+            chart.draw_series([Text::new(count, (x - 0.25, high + 0.04 * top), TINY)])?;
         }
         Ok(())
     })

@@ -11,7 +11,7 @@ use super::figures::{FigureResult, page};
 use super::force_maps::Picture;
 use crate::dataset::read::PAPER_SKIN;
 use crate::figure::style::{AxesStyle, COLOURS, INK, SMALL, TEXT, TINY, framed, plain};
-use crate::figure::{Area, Drawn, Heading, PageSize};
+use crate::figure::{Area, Drawn, Heading, PageSize, with_n};
 use crate::store::Contact;
 
 /// A method's answer to a trial.
@@ -253,7 +253,7 @@ fn value_words(rank: &Rank) -> String {
 }
 
 fn named(rank: &Rank) -> String {
-    if rank.n == 0 { rank.name.clone() } else { format!("{}, n = {}", rank.name, rank.n) }
+    if rank.n == 0 { rank.name.clone() } else { with_n(&rank.name, rank.n) }
 }
 
 #[cfg(test)]
@@ -279,7 +279,7 @@ mod tests {
             name: name.into(),
             mean_mm,
             interval_mm: Some([mean_mm - 1.0, mean_mm + 1.0]),
-            n: 40,
+            n: 1171,
             answers_per_contact: Some(1.25),
             role,
         };
@@ -291,7 +291,7 @@ mod tests {
             "true contacts",
             "30 N",
             "100 mm",
-            "exact, n = 40",
+            "exact, n = 1,171",
             "4 mm, 1.2 answers",
             "n = 20 trials",
             "(mm)",

@@ -8,12 +8,12 @@ use sim_core::stats::median;
 use super::super::answers::TrialFacts;
 use super::facts::Facts;
 use crate::api::forces_by_depth;
-use crate::cli::output::{counted, grouped};
+use crate::cli::output::counted;
 use crate::cli::summary::table_one;
 use crate::evaluate::charts::Line;
 use crate::evaluate::figures::{FigureResult, map};
 use crate::evaluate::run_figures::{Band, Contacts, bands, contacts, histogram, over_time};
-use crate::figure::Heading;
+use crate::figure::{Heading, with_n};
 
 /// FVU at the end of the histogram, and trials in a point of the FVU over time.
 const FVU_END: f64 = 2.0;
@@ -84,7 +84,7 @@ fn readings(trial: &TrialFacts) -> impl Iterator<Item = (f64, usize, f64, u8)> +
 
 fn curves<'a>(named: impl Iterator<Item = (String, &'a Vec<(f64, f64)>)>) -> Vec<Band> {
     let curve = |(name, values): (String, &Vec<(f64, f64)>)| {
-        let name = format!("{name}, n = {}", grouped(values.len() as u64));
+        let name = with_n(&name, values.len() as u64);
         let at = forces_by_depth(None, values.iter().copied()).into_iter();
         Band { name, places: at.map(|at| [at.depth_mm, at.q1_n, at.median_n, at.q3_n]).collect() }
     };
