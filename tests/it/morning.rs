@@ -189,6 +189,14 @@ async fn events_are_selected_by_kind_and_followed_as_they_happen() {
     assert_eq!(page["items"][0]["kind"], "ended");
     assert_eq!(lab.get("/api/v1/events?kind=no_such_kind").await["items"], json!([]));
 
+    let mut earlier = command(&url, &["events", "-f", "--kind", "ended", "--limit", "1"]);
+    let mut earlier = Process(earlier.stdout(Stdio::piped()).spawn().unwrap());
+    let mut lines = BufReader::new(earlier.0.stdout.take().unwrap()).lines();
+    let line = tokio::task::spawn_blocking(move || lines.next());
+    let line = timeout(LIMIT, line).await.expect("no event").unwrap().unwrap().unwrap();
+    let words: Vec<&str> = line.split_whitespace().skip(2).take(5).collect();
+    assert_eq!(words, ["ended", "run", "1", "run", "ended"], "{line}");
+
     let mut follow = command(&url, &["events", "-f", "--kind", "trip", "--json"]);
     let mut follow = Process(follow.stdout(Stdio::piped()).spawn().unwrap());
     let mut lines = BufReader::new(follow.0.stdout.take().unwrap()).lines();

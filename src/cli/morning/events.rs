@@ -28,8 +28,9 @@ const EVENTS_SHOWN: usize = 50;
 const EVENTS_PER_REQUEST: u32 = 1000;
 /// Time until a broken stream is opened again.
 const REOPEN_PAUSE: Duration = Duration::from_secs(1);
-/// Width of the kinds of a stream, characters.
-const KIND: usize = 14;
+/// Widths of the kinds and of the runs of a stream, characters.
+const KIND_WIDTH: usize = 14;
+const RUN_WIDTH: usize = 8;
 
 /// Runs `palpate events`.
 ///
@@ -143,14 +144,15 @@ async fn follow(client: &Client, args: &EventsArgs) -> CliResult<()> {
     // With --since or --limit the earlier events come first.
     let earlier = args.limit.unwrap_or(if args.since.is_some() { usize::MAX } else { 0 });
     let mut last: Option<String> = None;
+    let mut printer = Printer { client, args, numbers: BTreeMap::new() };
     if earlier > 0 {
         for event in newest(client, args, &selection, Some(earlier)).await? {
+            printer.print(&event).await?;
             last = Some(event.seq.to_string());
-            print(&event, args.at.json);
         }
     }
     loop {
-        if let Err(error) = listen(client, args, &selection, &mut last).await {
+        if let Err(error) = listen(&mut printer, &selection, &mut last).await {
             let is_lost = matches!(
                 error,
                 CliError::NoServer { .. }
@@ -168,36 +170,62 @@ async fn follow(client: &Client, args: &EventsArgs) -> CliResult<()> {
 
 /// Prints events until the connection ends.
 async fn listen(
-    client: &Client,
-    args: &EventsArgs,
+    printer: &mut Printer<'_>,
     selection: &str,
     last: &mut Option<String>,
 ) -> CliResult<()> {
     let path = format!("/api/v1/events?{}", selection.trim_start_matches('&'));
-    let answer = client.stream(&path, last.as_deref()).await?;
+    let answer = printer.client.stream(&path, last.as_deref()).await?;
     let mut pieces = answer.bytes_stream();
     let mut collect = Collect::default();
     while let Some(piece) = pieces.next().await {
         let piece =
             piece.map_err(|source| CliError::Http { operation: "events".into(), source })?;
         for sent in collect.take(&piece) {
-            *last = Some(sent.id);
             if let Ok(event) = serde_json::from_str::<EventView>(&sent.data)
-                && args.selects(&event)
+                && printer.args.selects(&event)
             {
-                print(&event, args.at.json);
+                printer.print(&event).await?;
             }
+            *last = Some(sent.id);
         }
     }
     Ok(())
 }
 
-fn print(event: &EventView, json: bool) {
-    if json {
-        return say_json(event);
+/// Prints the events of a stream.
+struct Printer<'a> {
+    client: &'a Client,
+    args: &'a EventsArgs,
+    /// Numbers of the runs whose events were printed, by their uids as text.
+    numbers: BTreeMap<String, i64>,
+}
+
+impl Printer<'_> {
+    /// Prints an event, with the number of its run if the stream may have events of several ones.
+    async fn print(&mut self, event: &EventView) -> CliResult<()> {
+        if self.args.at.json {
+            say_json(event);
+            return Ok(());
+        }
+        let words = event.sentence().replace('\n', " ");
+        let run = match self.args.run {
+            Some(_) => String::new(),
+            None => format!("  {:<RUN_WIDTH$}", or_dash(self.number(event).await?)),
+        };
+        say(format_args!("{}  {:<KIND_WIDTH$}{run}  {words}", time(event), event.kind));
+        Ok(())
     }
-    let words = event.sentence().replace('\n', " ");
-    say(format_args!("{}  {:<KIND$}  {words}", time(event), event.kind));
+
+    /// The run of an event, by its number: `run 3`.
+    async fn number(&mut self, event: &EventView) -> CliResult<Option<String>> {
+        let Some(run) = event.run else { return Ok(None) };
+        let uid = run.to_string();
+        if !self.numbers.contains_key(&uid) {
+            self.numbers.extend(numbers_of(self.client, [run].into_iter()).await?);
+        }
+        Ok(self.numbers.get(&uid).map(|number| format!("run {number}")))
+    }
 }
 
 fn time(event: &EventView) -> String {
