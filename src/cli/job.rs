@@ -24,6 +24,8 @@ use crate::store::TaskState;
 
 /// Shortest start of an id, characters.
 const START_MIN: usize = 4;
+/// Characters of an id that the list shows at least.
+const START_SHOWN: usize = 12;
 /// Interval of polling a job's progress.
 pub const JOB_POLL: Duration = Duration::from_millis(250);
 
@@ -238,15 +240,25 @@ fn meant<'a>(newest_first: &'a [String], text: &str) -> Vec<&'a str> {
 
 fn table(jobs: &[JobOut]) -> Table {
     let mut table = Table::new(
-        "number> | state | requested | what | progress | job",
+        "job | number> | state | requested | what | progress",
         "there are no jobs: palpate train RECIPE",
     );
-    for (place, job) in jobs.iter().enumerate() {
-        let number = (jobs.len() - place).to_string();
-        let [id, state, requested, what, more] = cells(job);
-        table.push([number, state, requested, what, more, id]);
+    let all: Vec<_> = jobs.iter().map(cells).collect();
+    let shown = unique_start(all.iter().map(|[id, ..]| id.as_str()));
+    for (number, [mut id, state, requested, what, more]) in (1..=all.len()).rev().zip(all) {
+        id.truncate(shown);
+        table.push([id, number.to_string(), state, requested, what, more]);
     }
     table
+}
+
+/// Number of characters with which each of the ids begins differently, at least `START_SHOWN`: a whole id leaves no room
+/// for the progress on a terminal.
+fn unique_start<'a>(ids: impl Iterator<Item = &'a str>) -> usize {
+    let mut sorted: Vec<&str> = ids.collect();
+    sorted.sort_unstable();
+    let shared = |a: &str, b: &str| a.bytes().zip(b.bytes()).take_while(|(a, b)| a == b).count();
+    sorted.windows(2).map(|pair| shared(pair[0], pair[1]) + 1).fold(START_SHOWN, usize::max)
 }
 
 fn cells(job: &JobOut) -> [String; 5] {
@@ -300,5 +312,23 @@ mod tests {
             assert_eq!(meant(&ids, text), wanted, "{text}");
         }
         assert!(meant(&[], "last").is_empty());
+    }
+
+    #[test]
+    fn a_list_begins_with_the_start_of_each_id_that_names_it() {
+        let job = |id: &str| {
+            let id = format!("job-0192ab34-{id}");
+            let task = serde_json::json!({ "id": id, "kind": "training", "state": "done",
+                "request": { "recipe": "name = \"net\"" }, "asked_by": "ada",
+                "created_at": "2026-11-24T22:00:00Z" });
+            serde_json::from_value::<JobOut>(task).unwrap()
+        };
+        let jobs = [job("7c1b-7000-8000-000000000001"), job("7c1a-7000-8000-000000000000")];
+        let shown = table(&jobs).to_string();
+        let columns = |line: &str| line.split_whitespace().take(3).collect::<Vec<_>>().join(" ");
+        let lines = ["job number state", "job-0192ab34-7c1b 2 done", "job-0192ab34-7c1a 1 done"];
+        assert_eq!(shown.lines().map(columns).collect::<Vec<_>>(), lines);
+        let alone = table(&jobs[..1]).to_string();
+        assert_eq!(alone.lines().last().map(columns).unwrap(), "job-0192ab34 1 done");
     }
 }
