@@ -1,21 +1,16 @@
-//! `palpate status`, `pause`, `resume`, `stop`, `abort`, `estop`: questions
-//! and requests to the service that drives the rig.
+//! `palpate status`, `pause`, `resume`, `stop`, `abort`: questions and requests to the service that drives the rig.
 //! Uses: `client`. Never: a service in this process (it would have no rig and no run).
-
-use std::time::Duration;
 
 use clap::Args;
 use jiff::Timestamp;
 use reqwest::Method;
 use serde_json::{Value, json};
-use tokio::time::Instant;
 
 use super::client::Client;
 use super::error::{CliError, CliResult};
 use super::find::find_run;
-use super::key::key;
 use super::next::Next;
-use super::output::{counted, duration, grouped, note, say, say_json};
+use super::output::{counted, duration, grouped, say, say_json};
 use super::view::{NeedView, StatusView};
 use super::{At, embed, workers};
 use crate::campaign::bench::stopping::StoppingDistance;
@@ -24,13 +19,6 @@ use crate::campaign::shown::status::RunStatus;
 use crate::ids::RunUid;
 use crate::state::PausedWhy;
 use crate::store::RunRow;
-
-/// Longest wait for the axes' acknowledgement of an emergency stop.
-const ACKNOWLEDGED: Duration = Duration::from_secs(3);
-/// Interval of polling for the acknowledgement, and pause before a stop is sent again.
-const ACKNOWLEDGED_POLL: Duration = Duration::from_millis(50);
-/// Repetitions of a stop that was not answered.
-const ESTOP_AGAIN: usize = 4;
 
 /// Options of a request to the active run.
 #[derive(Debug, Clone, Args)]
@@ -66,7 +54,8 @@ pub struct AbortArgs {
 /// # Errors
 /// `CliError` if the service cannot be reached.
 pub async fn status(at: &At) -> CliResult<()> {
-    let client = embed::server(at).await?;
+    let is_named = at.url().is_some();
+    let client = embed::server(at).await.map_err(|error| no_status(error, is_named))?;
     if at.json {
         let status: Value = client.get("/api/v1/status").await?;
         say_json(&status);
@@ -76,6 +65,14 @@ pub async fn status(at: &At) -> CliResult<()> {
     let workers = workers::line(&client).await;
     say(status_words(&client.status().await?, &twins, workers));
     Ok(())
+}
+
+/// The error of `status`. `is_named`: a service was named, which `palpate runs` would ask, too.
+fn no_status(error: CliError, is_named: bool) -> CliError {
+    match error {
+        CliError::NoServer { .. } if !is_named => CliError::NoStatus(Box::new(error)),
+        error => error,
+    }
 }
 
 /// Runs `palpate status --ready`.
@@ -234,118 +231,6 @@ async fn abort_motion(args: &ActArgs) -> CliResult<()> {
     Ok(())
 }
 
-/// An emergency stop that the service has latched.
-#[derive(Debug)]
-pub struct Stopped {
-    latched: Value,
-    /// Time until every axis had acknowledged, ms.
-    acknowledged_ms: Option<f64>,
-    /// Axes that have not acknowledged, or move after it, each with its cause.
-    missing: Vec<String>,
-    /// Whether every axis was read at rest.
-    stands: bool,
-    /// Whether the rig has a stage, whose axes acknowledge.
-    has_stage: bool,
-}
-
-/// Requests an emergency stop until it is answered, then waits for the axes' acknowledgement as far as
-/// it is known. `tell` receives what a person must know of the request.
-///
-/// # Errors
-/// `CliError::NotStopped` or `StopUnanswered` if the request for the stop fails; the acknowledgement is only
-/// reported.
-pub async fn press_estop(
-    at: &At,
-    why: Option<&str>,
-    tell: impl FnOnce(&str),
-) -> CliResult<Stopped> {
-    // The service is not probed first: the stop must be the first request. On the loopback it needs no
-    // key: one that cannot be read, or that is refused, must not prevent it.
-    let key = key().unwrap_or_else(|error| {
-        tell(&format!("the stop is requested without a key: {error}"));
-        None
-    });
-    let named =
-        |key| embed::clients(at, key).map_err(|error| CliError::NotStopped(Box::new(error)));
-    let mut clients = named(key.clone())?;
-    if key.is_some() {
-        clients.extend(named(None)?);
-    }
-    let (mut tries, mut refused) = (0, None);
-    let not_stopped = |error| match error {
-        // It may have arrived.
-        CliError::Http { .. } => CliError::StopUnanswered(Box::new(error)),
-        error => CliError::NotStopped(Box::new(error)),
-    };
-    let (client, answer): (&Client, Value) = loop {
-        let client = &clients[tries % clients.len()];
-        let body = json!({ "why": why, "who": client.who() });
-        match client.post("/api/v1/estop", &body).await {
-            Ok(answer) => break (client, answer),
-            // A stop may be repeated: a crowded service may close a connection unanswered.
-            Err(CliError::NoServer { .. } | CliError::Http { .. } | CliError::Untrusted { .. })
-                if tries < ESTOP_AGAIN =>
-            {
-                tries += 1;
-                tokio::time::sleep(ACKNOWLEDGED_POLL).await;
-            }
-            // Another client may have no key, or another address.
-            Err(error @ CliError::Refused { status: 401, .. }) if tries + 1 < clients.len() => {
-                refused = refused.or(Some(error));
-                tries += 1;
-            }
-            Err(error) => return Err(not_stopped(refused.unwrap_or(error))),
-        }
-    };
-    let asked = Instant::now();
-    let latched = answer["latched"].clone();
-    let (missing, stands) = (Vec::new(), false);
-    let mut stopped = Stopped { latched, acknowledged_ms: None, missing, stands, has_stage: true };
-    while stopped.has_stage && !stopped.stands && asked.elapsed() < ACKNOWLEDGED {
-        tokio::time::sleep(ACKNOWLEDGED_POLL).await;
-        // The stop is latched, whether or not the service reports on it.
-        if let Ok(status) = client.status().await {
-            stopped.acknowledged_ms = status.rig.estop_acknowledged_ms;
-            stopped.missing = status.rig.not_stopped();
-            stopped.stands = status.rig.stands();
-            stopped.has_stage = status.rig.has_stage;
-        }
-    }
-    Ok(stopped)
-}
-
-impl Stopped {
-    /// Result for a person, with the next command.
-    pub fn words(&self) -> String {
-        let axes = match self.acknowledged_ms {
-            Some(ms) if self.stands => format!("every axis had acknowledged after {ms:.1} ms"),
-            Some(ms) if self.missing.is_empty() => {
-                format!(
-                    "every axis had acknowledged after {ms:.1} ms, and is not known to stand yet"
-                )
-            }
-            None if !self.has_stage => "a skin alone has no axis to stop".into(),
-            None if self.missing.is_empty() => "no acknowledgement of the axes yet".into(),
-            Some(_) | None => {
-                format!("NOT STOPPED: {}; the stop is sent again", self.missing.join(", "))
-            }
-        };
-        format!("stopped and latched; {axes}. Check the rig, then run `palpate rig reset`.")
-    }
-}
-
-/// Runs `palpate estop`.
-///
-/// # Errors
-/// As [`press_estop`].
-pub async fn estop(args: &ActArgs) -> CliResult<()> {
-    let stopped = press_estop(&args.at, args.why.as_deref(), |words| note(words)).await?;
-    let answer = json!({ "latched": stopped.latched, "acknowledged_ms": stopped.acknowledged_ms,
-        "not_stopped": stopped.missing, "stands": stopped.stands });
-    args.at.output().say(&answer, stopped.words());
-    Ok(())
-}
-
 fn status_words(status: &StatusView, twins: &Value, workers: Option<String>) -> String {
     let rig = &status.rig;
     let (label, state) = (rig.label.as_str(), rig.state_words());
@@ -470,6 +355,19 @@ mod tests {
         assert_eq!(of(Some(PausedWhy::Trip)).accepted("pause"), words);
         assert_eq!(of(Some(PausedWhy::Trip)).accepted("stop"), "run 3: stop accepted");
         assert_eq!(of(None).accepted("pause"), "run 3: pause accepted");
+    }
+
+    #[test]
+    fn status_without_a_service_names_the_command_that_needs_none() {
+        let words = |is_named| {
+            let url = "http://127.0.0.1:8080".to_owned();
+            no_status(CliError::NoServer { url }, is_named).to_string()
+        };
+        let none = "no palpate service at http://127.0.0.1:8080; start one with `palpate serve`, or name it with --url \
+                    or PALPATE_URL";
+        assert_eq!(words(true), none);
+        let runs = "`palpate runs` reads a data folder without a service";
+        assert_eq!(words(false), format!("{none}; {runs}"));
     }
 
     #[test]

@@ -38,6 +38,9 @@ pub enum CliError {
          PALPATE_URL"
     )]
     NoServer { url: String },
+    /// No service answers `palpate status`, and none was named.
+    #[error("{0}; `palpate runs` reads a data folder without a service")]
+    NoStatus(Box<CliError>),
     #[error(
         "something else than palpate answers at {url}; name the address of palpate with --url or \
          PALPATE_URL"

@@ -30,6 +30,7 @@ mod download;
 mod drawn;
 mod embed;
 mod error;
+mod estop;
 mod evaluate;
 mod export;
 mod federate;
@@ -354,7 +355,7 @@ async fn answer(command: Command) -> CliResult<ExitCode> {
         Command::Show(args) => embed::command(&args.at, Reads, &args, morning::show).await?,
         Command::Report(args) => embed::command(&args.at, Reads, &args, morning::report).await?,
         Command::Diff(args) => embed::command(&args.at, Reads, &args, morning::diff).await?,
-        Command::Estop(args) => ask::estop(&args).await?,
+        Command::Estop(args) => estop::estop(&args).await?,
         Command::Lock(args) => access::lock(args).await?,
         Command::Key(args) => access::key(args).await?,
         Command::Dataset(args) => dataset::dataset(args).await?,

@@ -1,5 +1,5 @@
 //! `palpate status --watch`: the night on the whole terminal, and the keys that a person needs.
-//! Uses: `read` (what is asked), `night` (what is known), `draw` (its picture), `ask` (the stop), the
+//! Uses: `read` (what is asked), `night` (what is known), `draw` (its picture), `estop`, the
 //! terminal. Never: a service in this process, a wait of the keys for an answer of the service.
 
 use std::io::{self, IsTerminal};
@@ -32,7 +32,7 @@ use super::client::Client;
 use super::error::{CliError, CliResult};
 use super::log::{self, Held};
 use super::signals::Signals;
-use super::{At, ask, embed};
+use super::{At, ask, embed, estop};
 
 /// Interval at which the screen is drawn without news, for ages.
 const REDRAW: Duration = Duration::from_millis(250);
@@ -171,7 +171,7 @@ fn answer(asked: Asked, night: &mut Night, client: &Client, at: &At, news: &Send
             let why = Some("E at status --watch");
             let told = news.clone();
             let tell = move |words: &str| drop(told.try_send(News::Outcome(words.into())));
-            let words = match ask::press_estop(&at, why, tell).await {
+            let words = match estop::press_estop(&at, why, tell).await {
                 Ok(stopped) => stopped.words(),
                 Err(error) => format!("THE STOP WAS NOT ACCEPTED: {error}"),
             };
