@@ -32,7 +32,7 @@ pub struct WorkerStatus {
     /// Host, process and a random part.
     pub worker: String,
     /// Time since its last heartbeat, s.
-    pub heard_s: i64,
+    pub heard_s: u64,
     /// Whether its lease has ended.
     pub lost: bool,
     /// What it states of itself: `at_once`, `gpu`, `memory_mib`.
@@ -80,7 +80,7 @@ pub async fn status(
     let workers = queue.workers(lease).await?.into_iter().map(|row| WorkerStatus {
         heard_s: SystemTime::now()
             .duration_since(row.last_heartbeat_at.into())
-            .map_or(0, |age| i64::try_from(age.as_secs()).unwrap_or(i64::MAX)),
+            .map_or(0, |age| age.as_secs()),
         worker: row.worker_id,
         lost: row.is_stale,
         about: row.metadata,
@@ -152,8 +152,9 @@ impl Display for Status {
             let (slots, memory) = (number("at_once"), number("memory_mib"));
             writeln!(
                 f,
-                "worker {}: heard {} s ago{lost}, {slots} at once, {memory} MiB{gpu}",
-                worker.worker, worker.heard_s
+                "worker {}: heard {} ago{lost}, {slots} at once, {memory} MiB{gpu}",
+                worker.worker,
+                duration(worker.heard_s)
             )?;
         }
         for order in &self.orders {
@@ -166,7 +167,7 @@ impl Display for Status {
             )?;
             write!(f, "{failed} failed, {missing} not submitted")?;
             if let (Some(rate), Some(to_go)) = (order.per_minute, order.to_go_s) {
-                write!(f, "; {rate:.1} per minute, {to_go} s to go")?;
+                write!(f, "; {rate:.1} per minute, {} to go", duration(to_go))?;
             }
             writeln!(f)?;
             if let Some(error) = again_error {
@@ -181,5 +182,42 @@ impl Display for Status {
             }
         }
         Ok(())
+    }
+}
+
+/// A duration for people, as `palpate` shows it: `25 h 12 min`, `3 min 20 s`, `12 s`.
+fn duration(seconds: u64) -> String {
+    match seconds {
+        0..60 => format!("{seconds} s"),
+        60..3600 => format!("{} min {} s", seconds / 60, seconds % 60),
+        _ => {
+            let minutes = (seconds + 30) / 60;
+            format!("{} h {} min", minutes / 60, minutes % 60)
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn durations_are_shown_in_hours_minutes_and_seconds() {
+        let about = serde_json::json!({ "at_once": 2, "memory_mib": 4096 });
+        let worker =
+            WorkerStatus { worker: "node-1".into(), heard_s: 75, lost: false, about: Some(about) };
+        let order = OrderStatus {
+            chunks: 1000,
+            done: 10,
+            backlog: Backlog { order: "sim".into(), waiting: 990, ..Backlog::default() },
+            missing: 0,
+            per_minute: Some(0.5),
+            to_go_s: Some(118_800),
+            errors: Vec::new(),
+        };
+        let shown = Status { workers: vec![worker], orders: vec![order] }.to_string();
+        assert!(shown.starts_with("worker node-1: heard 1 min 15 s ago, 2 at once, 4096 MiB\n"));
+        assert!(shown.ends_with("; 0.5 per minute, 33 h 0 min to go\n"), "{shown}");
+        assert_eq!([12, 200, 90_720].map(duration), ["12 s", "3 min 20 s", "25 h 12 min"]);
     }
 }
