@@ -51,9 +51,7 @@ pub async fn download(client: &Client, url: &str, wanted: u64, out: &Path) -> Cl
                     tries += 1;
                     break;
                 }
-                Some(Err(source)) => {
-                    return Err(CliError::Http { operation: format!("GET {url}"), source });
-                }
+                Some(Err(error)) => return Err(error.into()),
             }
         }
     }
@@ -74,7 +72,7 @@ pub async fn download_whole(
     let found = file.sha256();
     if found != whole.sha256 {
         let detail = format!("the downloaded file has the sha256 {found}");
-        return Err(CliError::Refused { operation: format!("GET {url}"), status: 500, detail });
+        return Err(CliError::Refused { status: 500, detail });
     }
     finish(file, out).map(drop)
 }

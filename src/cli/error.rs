@@ -65,30 +65,18 @@ pub enum CliError {
     #[error("TLS: {0}; name the certificate of the service with --ca or PALPATE_CA")]
     Tls(#[from] rustls::Error),
     /// A request had no answer, or an invalid one.
-    #[error("{}", unanswered(source))]
-    Http {
-        /// Method and path of the request.
-        operation: String,
-        /// Error of the HTTP client.
-        source: reqwest::Error,
-    },
+    #[error("{}", unanswered(.0))]
+    Http(#[from] reqwest::Error),
     #[error(
         "the recording was cut before its {frames} frames were there, and no file was written: the rig sent no frame \
          for 10 s, or the service ended"
     )]
     Cut { frames: u64 },
-    #[error("the connection to the service failed: {source}")]
-    Socket {
-        /// Method and path of the request.
-        operation: String,
-        /// Error of the WebSocket.
-        source: Box<tokio_tungstenite::tungstenite::Error>,
-    },
+    #[error("the connection to the service failed: {0}")]
+    Socket(#[source] Box<tokio_tungstenite::tungstenite::Error>),
     /// The service refused the request.
     #[error("{detail}")]
     Refused {
-        /// Method and path of the request.
-        operation: String,
         /// HTTP status code.
         status: u16,
         /// Reason, as stated by the service.
@@ -211,15 +199,6 @@ impl CliError {
         move |error| Self::in_file(path, io_words(&error))
     }
 
-    /// Error of an operation on files of datasets in this process.
-    pub fn of_dataset(operation: String, error: DatasetError) -> Self {
-        match error {
-            DatasetError::Problems(problems) => Self::Problems(problems),
-            DatasetError::File { path, source, .. } => Self::File { path, source },
-            error => Self::Refused { operation, status: 400, detail: error.to_string() },
-        }
-    }
-
     /// Exit code: 2 for bad input, 1 for everything else.
     pub fn exit_code(&self) -> ExitCode {
         ExitCode::from(self.code())
@@ -259,6 +238,17 @@ impl From<Problem> for CliError {
 impl From<Vec<Problem>> for CliError {
     fn from(problems: Vec<Problem>) -> Self {
         Self::Problems(problems)
+    }
+}
+
+/// Error of work on files of datasets in this process.
+impl From<DatasetError> for CliError {
+    fn from(error: DatasetError) -> Self {
+        match error {
+            DatasetError::Problems(problems) => Self::Problems(problems),
+            DatasetError::File { path, source, .. } => Self::File { path, source },
+            error => Self::Refused { status: 400, detail: error.to_string() },
+        }
     }
 }
 

@@ -60,7 +60,7 @@ pub async fn press_estop(
     let (mut tries, mut refused) = (0, None);
     let not_stopped = |error| match error {
         // It may have arrived.
-        CliError::Http { .. } => CliError::StopUnanswered(Box::new(error)),
+        CliError::Http(_) => CliError::StopUnanswered(Box::new(error)),
         error => CliError::NotStopped(Box::new(error)),
     };
     let (client, answer): (&Client, Value) = loop {
@@ -69,7 +69,7 @@ pub async fn press_estop(
         match client.post("/api/v1/estop", &body).await {
             Ok(answer) => break (client, answer),
             // A stop may be repeated: a crowded service may close a connection unanswered.
-            Err(CliError::NoServer { .. } | CliError::Http { .. } | CliError::Untrusted { .. })
+            Err(CliError::NoServer { .. } | CliError::Http(_) | CliError::Untrusted { .. })
                 if tries < ESTOP_AGAIN =>
             {
                 tries += 1;

@@ -111,9 +111,8 @@ async fn follow(client: &Client, asked: ExportOut) -> CliResult<ExportOut> {
                 return Ok(now);
             }
             TaskState::Failed | TaskState::Stopped => {
-                let operation = format!("export {}", now.id);
                 let detail = now.error.unwrap_or_default();
-                return Err(CliError::Refused { operation, status: 409, detail });
+                return Err(CliError::Refused { status: 409, detail });
             }
             TaskState::Waiting | TaskState::Running => tokio::time::sleep(EXPORT_POLL).await,
         }

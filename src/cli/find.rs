@@ -47,9 +47,9 @@ pub async fn find_run(client: &Client, text: &str) -> CliResult<RunRow> {
     let wrong = |limit: String| CliError::argument("RUN", text, limit);
     match named(text) {
         Some(Named::Whole(id)) => client.run(id).await.map_err(|error| match error {
-            CliError::Refused { operation, status: status @ 404, detail } => {
+            CliError::Refused { status: status @ 404, detail } => {
                 let detail = format!("{detail}: palpate runs lists all");
-                CliError::Refused { operation, status, detail }
+                CliError::Refused { status, detail }
             }
             error => error,
         }),

@@ -10,7 +10,7 @@ use clap::Args;
 use serde_json::{Value, json};
 
 use super::client::{Client, TextPart, text_of};
-use super::error::{CliError, CliResult};
+use super::error::CliResult;
 use super::files::{read_input, read_or_carried};
 use super::making;
 use super::next::Next;
@@ -82,8 +82,7 @@ async fn understood(args: &ImportArgs, sensor: String, map: Option<&str>) -> Cli
     let (path, sensor_file) = (args.file.clone(), args.sensor.display().to_string());
     let file = path.display().to_string();
     let reading = move |rows: &Progress| preview(&path, &file, &sensor_file, &sensor, map, rows);
-    let read = making::here("reading the file", "trials read", reading).await;
-    read.map_err(|error| CliError::of_dataset(format!("reading {}", args.file.display()), error))
+    Ok(making::here("reading the file", "trials read", reading).await?)
 }
 
 async fn store(

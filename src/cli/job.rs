@@ -89,10 +89,9 @@ impl JobScreen {
             TaskState::Waiting | TaskState::Running => Ok(false),
             TaskState::Done => Ok(true),
             TaskState::Failed | TaskState::Stopped => {
-                let operation = now.task.id.to_string();
                 let stopped = "it was stopped; the same command resumes it from its checkpoint";
                 let detail = now.task.error.clone().unwrap_or_else(|| stopped.into());
-                Err(CliError::Refused { operation, status: 409, detail })
+                Err(CliError::Refused { status: 409, detail })
             }
         }
     }

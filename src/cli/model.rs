@@ -9,7 +9,7 @@ use clap::{Args, Subcommand};
 use serde_json::{Value, json};
 
 use super::client::{Client, TextPart};
-use super::error::{CliError, CliResult};
+use super::error::CliResult;
 use super::files::{DEFAULT_SENSOR, read_input, write};
 use super::next::Next;
 use super::output::{Output, counted, say, say_json};
@@ -190,9 +190,7 @@ async fn answer(client: &Client, what: What, at: &At) -> CliResult<()> {
         What::Onnx { model, out } => {
             let path = format!("/api/v1/models/{model}/onnx");
             let answer = client.send(reqwest::Method::GET, &path, None::<&Value>).await?;
-            let operation = format!("GET {path}");
-            let bytes = answer.bytes().await;
-            let bytes = bytes.map_err(|source| CliError::Http { operation, source })?;
+            let bytes = answer.bytes().await?;
             write(&out, &bytes)?;
             let known: ModelOut = client.get(&format!("/api/v1/models/{model}")).await?;
             let manifest = out.with_added_extension("json");

@@ -94,8 +94,7 @@ impl Client {
     pub fn new(url: &str, ca: Option<&Certificates>, key: Option<String>) -> CliResult<Self> {
         check_url(url)?;
         let tls = trust::tls(url, ca)?;
-        let http = trust::http(tls.clone())
-            .map_err(|source| CliError::Http { operation: "HTTP client".into(), source })?;
+        let http = trust::http(tls.clone())?;
         let url = url.trim_end_matches('/').into();
         let (tls, who) = (tls.into(), who());
         let answer_within = ANSWER_WAIT;
@@ -190,8 +189,7 @@ impl Client {
         path: &str,
         body: Option<&impl Serialize>,
     ) -> CliResult<T> {
-        let operation = format!("{method} {path}");
-        read(operation, self.send(method, path, body).await?).await
+        Ok(self.send(method, path, body).await?.json().await?)
     }
 
     /// Sends a request.
@@ -265,7 +263,7 @@ impl Client {
             );
         }
         let sent = self.carry_out(Method::POST, path, |request| request.multipart(form));
-        read(format!("POST {path}"), sent.await?).await
+        Ok(sent.await?.json().await?)
     }
 
     /// Sends a POST request with a text and reads the answer.
@@ -276,7 +274,7 @@ impl Client {
         let sent = self.carry_out(Method::POST, path, |request| {
             request.header(header::CONTENT_TYPE, "text/plain; charset=utf-8").body(text)
         });
-        read(format!("POST {path}"), sent.await?).await
+        Ok(sent.await?.json().await?)
     }
 
     /// Reads the messages of a WebSocket until `take` returns `false`, or the stream ends.
@@ -284,17 +282,16 @@ impl Client {
     /// # Errors
     /// `CliError::Socket` if the connection fails.
     pub async fn messages(&self, path: &str, mut take: impl FnMut(&str) -> bool) -> CliResult<()> {
-        let operation = || format!("GET {path}");
         let failed = |error: tungstenite::Error| match error {
             tungstenite::Error::Http(answer) => {
                 let body = answer.body().as_deref().unwrap_or_default();
                 let body = serde_json::from_slice(body).unwrap_or_default();
-                refusal(operation(), answer.status().as_u16(), &body)
+                refusal(&format!("GET {path}"), answer.status().as_u16(), &body)
             }
             tungstenite::Error::Io(ref error) => self
                 .untrusted(error)
                 .unwrap_or_else(|| CliError::NoServer { url: self.url.clone() }),
-            other => CliError::Socket { operation: operation(), source: Box::new(other) },
+            other => CliError::Socket(Box::new(other)),
         };
         let url = format!("{}{path}", self.url.replacen("http", "ws", 1));
         let mut request = url.into_client_request().map_err(failed)?;
@@ -343,7 +340,7 @@ impl Client {
             } else if source.is_connect() {
                 CliError::NoServer { url: self.url.clone() }
             } else {
-                CliError::Http { operation: operation.clone(), source }
+                CliError::Http(source)
             }
         })?;
         if answer.status().is_success() {
@@ -351,7 +348,7 @@ impl Client {
         }
         let status = answer.status().as_u16();
         let body: Value = answer.json().await.unwrap_or_default();
-        Err(refusal(operation, status, &body))
+        Err(refusal(&operation, status, &body))
     }
 
     /// The error of a service whose certificate is not trusted, if this is the cause.
@@ -377,11 +374,6 @@ impl Client {
     }
 }
 
-/// Reads the answer to a request.
-async fn read<T: DeserializeOwned>(operation: String, answer: Response) -> CliResult<T> {
-    answer.json().await.map_err(|source| CliError::Http { operation, source })
-}
-
 /// Rejects what is not the URL of a service.
 fn check_url(url: &str) -> CliResult<()> {
     let limit = url_limit(url).map(|limit| CliError::argument("--url or PALPATE_URL", url, limit));
@@ -403,7 +395,7 @@ pub fn text_of(field: &Value) -> String {
 }
 
 /// Converts a problem body to an error: values outside their limits are bad input.
-fn refusal(operation: String, status: u16, body: &Value) -> CliError {
+fn refusal(operation: &str, status: u16, body: &Value) -> CliError {
     tracing::debug!(operation, status, "the service refused a request");
     let problems: Vec<Problem> = body["errors"]
         .as_array()
@@ -426,7 +418,7 @@ fn refusal(operation: String, status: u16, body: &Value) -> CliError {
         (_, Some(title)) => title.into(),
         _ => format!("refused with status {status}"),
     };
-    CliError::Refused { operation, status, detail }
+    CliError::Refused { status, detail }
 }
 
 #[cfg(test)]
@@ -438,12 +430,12 @@ mod tests {
         let body = json!({ "title": "x", "errors": [
             { "file": "e.toml", "key": "seed", "value": "-1", "limit": "must be 0 or more" },
         ]});
-        let error = refusal("POST /q".into(), 422, &body);
+        let error = refusal("POST /q", 422, &body);
         assert_eq!(error.to_string(), "e.toml: seed = -1: must be 0 or more");
         let body = json!({ "title": "Conflict", "detail": "run 3 is ended" });
-        let error = refusal("POST /q".into(), 409, &body);
+        let error = refusal("POST /q", 409, &body);
         assert_eq!(error.to_string(), "run 3 is ended");
-        let error = refusal("POST /q".into(), 502, &Value::Null);
+        let error = refusal("POST /q", 502, &Value::Null);
         assert!(error.to_string().contains("502"));
     }
 

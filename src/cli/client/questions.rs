@@ -109,9 +109,7 @@ impl Client {
     /// # Errors
     /// As [`Self::send`]; `CliError::Http` if the connection breaks.
     pub async fn text(&self, path: &str) -> CliResult<String> {
-        let answer = self.send(Method::GET, path, None::<&Value>).await?;
-        let text = answer.text().await;
-        text.map_err(|source| CliError::Http { operation: format!("GET {path}"), source })
+        Ok(self.send(Method::GET, path, None::<&Value>).await?.text().await?)
     }
 
     /// Returns an answer that the service may lack: 404 is `None`.

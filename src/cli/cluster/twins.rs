@@ -132,9 +132,8 @@ pub async fn store(
 /// A refusal, with the chunk that it concerns.
 fn of_chunk(index: u64, error: CliError) -> CliError {
     match error {
-        CliError::Refused { operation, status, detail } => {
-            let detail = format!("chunk {index}: {detail}");
-            CliError::Refused { operation, status, detail }
+        CliError::Refused { status, detail } => {
+            CliError::Refused { status, detail: format!("chunk {index}: {detail}") }
         }
         other => other,
     }

@@ -321,11 +321,9 @@ impl Lab for ServiceLab {
             return Ok(report);
         }
         let asked: JobOut = self.client.post("/api/v1/evaluations", request).await?;
-        let id = asked.task.id;
         let done = wait_for(&self.client, asked).await?;
         let report = serde_json::from_value(done.task.result.unwrap_or_default());
         report.map_err(|error| CliError::Refused {
-            operation: id.to_string(),
             status: 500,
             detail: format!("its report cannot be read: {error}"),
         })

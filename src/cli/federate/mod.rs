@@ -24,7 +24,6 @@ use super::progress::shown_wait;
 use super::table::{Table, or_dash};
 use super::times::local;
 use crate::dataset::build::Progress;
-use crate::dataset::error::DatasetError;
 use crate::dataset::federate::{
     FETCHED, Federation, Fetched, LabelFile, MANIFEST, RigPart, TRIALS, Tables, join, prepare,
 };
@@ -146,7 +145,7 @@ fn kept(folder: &Path, name: &str, rigs: &[Rig]) -> CliResult<Vec<Option<Fetched
     }
     let mut all = Vec::new();
     for rig in rigs {
-        let kept = Fetched::read(folder, &rig.name).map_err(of_files)?;
+        let kept = Fetched::read(folder, &rig.name)?;
         if let Some(other) = kept.as_ref().filter(|kept| kept.requested != name) {
             let limit = format!("has the dataset {} already: name another folder", other.requested);
             return Err(refused(limit));
@@ -198,7 +197,7 @@ async fn current(
     if let Some(same) = kept.as_ref().filter(is_same) {
         let same = Fetched { url: rig.client.url().to_owned(), ..same.clone() };
         if kept.as_ref() != Some(&same) {
-            same.keep(folder).map_err(of_files)?;
+            same.keep(folder)?;
         }
         return Ok((Some(same), Outcome::Unchanged(is_outdated)));
     }
@@ -227,7 +226,7 @@ async fn fetch(rig: &Rig, name: &str, stated: Stated, folder: &Path) -> CliResul
         definition,
         lineage: lineage["lineage"].clone(),
     };
-    prepare(folder, &rig.name).map_err(of_files)?;
+    prepare(folder, &rig.name)?;
     let out = fetched.file(folder);
     let url = format!("/api/v1/data/{}.parquet", fetched.dataset);
     let file = download(&rig.client, &url, fetched.bytes, &out).await?;
@@ -237,7 +236,7 @@ async fn fetch(rig: &Rig, name: &str, stated: Stated, folder: &Path) -> CliResul
         return Err(fetched.mismatch(&found, advice).into());
     }
     finish(file, &out)?;
-    fetched.keep(folder).map_err(of_files)?;
+    fetched.keep(folder)?;
     Ok(fetched)
 }
 
@@ -249,11 +248,7 @@ async fn join_in(
 ) -> CliResult<Federation> {
     let (folder, name) = (folder.to_owned(), name.to_owned());
     let joining = move |rows: &Progress| join(&folder, &name, &used, tables, rows);
-    making::here("joining the datasets", "rows", joining).await.map_err(of_files)
-}
-
-fn of_files(error: DatasetError) -> CliError {
-    CliError::of_dataset("joining the datasets".into(), error)
+    Ok(making::here("joining the datasets", "rows", joining).await?)
 }
 
 impl Part {

@@ -95,7 +95,7 @@ pub async fn all_trials(client: &Client, run: RunUid, expected: u64) -> CliResul
         for line in text.lines().filter(|line| !line.is_empty()) {
             let trial: TrialFacts = serde_json::from_str(line).map_err(|error| {
                 let detail = format!("a trial cannot be read: {error}");
-                CliError::Refused { operation: format!("GET {path}"), status: 200, detail }
+                CliError::Refused { status: 200, detail }
             })?;
             all.push(trial);
         }

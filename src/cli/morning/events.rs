@@ -156,7 +156,7 @@ async fn follow(client: &Client, args: &EventsArgs) -> CliResult<()> {
             let is_lost = matches!(
                 error,
                 CliError::NoServer { .. }
-                    | CliError::Http { .. }
+                    | CliError::Http(_)
                     | CliError::Refused { status: 503, .. }
             );
             if !is_lost {
@@ -179,9 +179,7 @@ async fn listen(
     let mut pieces = answer.bytes_stream();
     let mut collect = Collect::default();
     while let Some(piece) = pieces.next().await {
-        let piece =
-            piece.map_err(|source| CliError::Http { operation: "events".into(), source })?;
-        for sent in collect.take(&piece) {
+        for sent in collect.take(&piece?) {
             if let Ok(event) = serde_json::from_str::<EventView>(&sent.data)
                 && printer.args.selects(&event)
             {

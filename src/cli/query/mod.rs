@@ -140,9 +140,7 @@ async fn tables(client: &Client, output: Output) -> CliResult<()> {
 /// # Errors
 /// `CliError` if the service refuses the statement, or cannot be reached.
 pub async fn ask<T: serde::de::DeserializeOwned>(client: &Client, sql: &str) -> CliResult<T> {
-    let answer = send(client, &json!({ "sql": sql })).await?;
-    let operation = "POST /api/v1/query".to_owned();
-    answer.json().await.map_err(|source| CliError::Http { operation, source })
+    Ok(send(client, &json!({ "sql": sql })).await?.json().await?)
 }
 
 async fn send(client: &Client, body: &Value) -> CliResult<reqwest::Response> {
@@ -175,17 +173,15 @@ async fn write(client: &Client, sql: &str, format: Format, out: Option<PathBuf>)
         return Err(CliError::argument("--format", format, limit));
     }
     let answer = send(client, &json!({ "sql": sql, "format": format.name() })).await?;
-    let broken = |source| CliError::Http { operation: "POST /api/v1/query".into(), source };
     if let Some(path) = out {
-        let length = keep(answer, &path, "receiving the rows", broken).await?;
+        let length = keep(answer, &path, "receiving the rows", CliError::Http).await?;
         note(format_args!("{}: {format}, {}", path.display(), bytes(length as f64)));
         return Ok(());
     }
     let (mut pieces, mut output) = (answer.bytes_stream(), std::io::stdout());
     while let Some(piece) = pieces.next().await {
-        let piece = piece.map_err(broken)?;
         // A closed pipe is no error.
-        if output.write_all(&piece).and_then(|()| output.flush()).is_err() {
+        if output.write_all(&piece?).and_then(|()| output.flush()).is_err() {
             break;
         }
     }
