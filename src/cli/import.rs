@@ -3,13 +3,14 @@
 
 use std::collections::BTreeMap;
 use std::fmt::Display;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use clap::Args;
+use reqwest::multipart::Part;
 use serde_json::{Value, json};
 
-use super::client::{Client, TextPart, text_of};
+use super::client::{Client, text_of};
 use super::error::CliResult;
 use super::files::{read_input, read_or_carried};
 use super::making;
@@ -95,14 +96,14 @@ async fn store(
     let name = args.name.clone().unwrap_or_else(|| {
         args.file.file_stem().unwrap_or_default().to_string_lossy().into_owned()
     });
-    let file_name = Some(args.sensor.display().to_string());
-    let map_file = args.coordinates.as_ref().map(|path| path.display().to_string());
-    let map = map.map(|text| TextPart { key: "coordinates", text, file_name: map_file });
+    let named = |text: String, path: &Path| Part::text(text).file_name(path.display().to_string());
+    let map = map.zip(args.coordinates.as_deref());
+    let map = map.map(|(text, path)| ("coordinates", named(text, path)));
     let texts = [
-        TextPart { key: "sensor", text: sensor, file_name },
-        TextPart::value("name", name.clone()),
-        TextPart::value("label", args.label.clone()),
-        TextPart::value("who", client.who().to_owned()),
+        ("sensor", named(sensor, &args.sensor)),
+        ("name", Part::text(name.clone())),
+        ("label", Part::text(args.label.clone())),
+        ("who", Part::text(client.who().to_owned())),
     ];
     let patient = client.patient(IMPORT_WAIT).quiet();
     let stored = patient.upload("/api/v1/imports", &args.file, texts.into_iter().chain(map));

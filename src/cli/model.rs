@@ -6,9 +6,10 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use clap::{Args, Subcommand};
+use reqwest::multipart::Part;
 use serde_json::{Value, json};
 
-use super::client::{Client, TextPart};
+use super::client::Client;
 use super::error::CliResult;
 use super::files::{DEFAULT_SENSOR, read_input, write};
 use super::next::Next;
@@ -205,9 +206,9 @@ async fn answer(client: &Client, what: What, at: &At) -> CliResult<()> {
                 None => DEFAULT_SENSOR.to_owned(),
             };
             let texts = [
-                TextPart::value("sensor", sensor),
-                TextPart::value("facts", read_input(&facts)?),
-                TextPart::value("name", name),
+                ("sensor", Part::text(sensor)),
+                ("facts", Part::text(read_input(&facts)?)),
+                ("name", Part::text(name)),
             ];
             let client = client.showing("checking the model");
             let model: ModelOut = client.upload("/api/v1/models", &file, texts).await?;

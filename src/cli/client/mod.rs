@@ -59,24 +59,6 @@ pub enum Found {
     Nothing,
 }
 
-/// A text that is uploaded with a file.
-#[derive(Debug)]
-pub struct TextPart {
-    /// Name of the part.
-    pub key: &'static str,
-    /// Text of the part, without encoding.
-    pub text: String,
-    /// Name of its file; absent for a value that is not a file.
-    pub file_name: Option<String>,
-}
-
-impl TextPart {
-    /// Creates a value that is not a file.
-    pub fn value(key: &'static str, text: String) -> Self {
-        Self { key, text, file_name: None }
-    }
-}
-
 /// Name of the person at this terminal, for the log of actions.
 pub fn who() -> String {
     let user = std::env::var("USER").ok().filter(|u| !u.is_empty());
@@ -235,7 +217,7 @@ impl Client {
         sent.await
     }
 
-    /// Uploads a file with texts.
+    /// Uploads a file with texts, each with the name of its part.
     ///
     /// # Errors
     /// As [`Self::ask`]; `CliError::Problems` if the file cannot be opened, `File` if it cannot be read.
@@ -243,25 +225,16 @@ impl Client {
         &self,
         path: &str,
         file: &Path,
-        texts: impl IntoIterator<Item = TextPart>,
+        texts: impl IntoIterator<Item = (&'static str, Part)>,
     ) -> CliResult<T> {
         let opened = tokio::fs::File::open(file).await.map_err(CliError::input(file))?;
         let length = opened.metadata().await.map_err(CliError::file(file))?.len();
         let pieces = tokio_util::io::ReaderStream::new(opened);
         let body = reqwest::Body::wrap_stream(pieces);
         let name = file.display().to_string();
-        let mut form =
-            Form::new().part("file", Part::stream_with_length(body, length).file_name(name));
-        for TextPart { key, text, file_name } in texts {
-            let part = Part::text(text);
-            form = form.part(
-                key,
-                match file_name {
-                    Some(name) => part.file_name(name),
-                    None => part,
-                },
-            );
-        }
+        let file = Part::stream_with_length(body, length).file_name(name);
+        let form = Form::new().part("file", file);
+        let form = texts.into_iter().fold(form, |form, (name, text)| form.part(name, text));
         let sent = self.carry_out(Method::POST, path, |request| request.multipart(form));
         Ok(sent.await?.json().await?)
     }

@@ -4,13 +4,13 @@
 use std::path::Path;
 
 use clap::Args;
+use reqwest::multipart::Part;
 use serde_json::json;
 
 use super::OrderPlace;
 use super::kind::order_of;
 use crate::chunk::folder::OrderFolder;
 use crate::chunk::order::{ChunkRow, WorkOrder};
-use crate::cli::client::TextPart;
 use crate::cli::download::DATASET_WAIT;
 use crate::cli::error::{CliError, CliResult};
 use crate::cli::evaluate::MethodRequest;
@@ -81,9 +81,9 @@ pub async fn score(
     new_file::write(out, READINGS_FILE, lines?).map_err(CliError::file(&file))?;
     let request = order.definition.request.clone();
     let texts = vec![
-        TextPart::value("request", json!(request).to_string()),
-        TextPart::value("model", order.definition.model.clone()),
-        TextPart::value("frames_sha256", order.frames_sha256()),
+        ("request", Part::text(json!(request).to_string())),
+        ("model", Part::text(order.definition.model.clone())),
+        ("frames_sha256", Part::text(order.frames_sha256())),
     ];
     let report: EvaluationReport = embed::with_server(at, async |client| {
         let client = client.patient(DATASET_WAIT);

@@ -5,10 +5,11 @@ use std::path::{Path, PathBuf};
 
 use clap::{Args, ValueEnum};
 use parking_lot::Mutex;
+use reqwest::multipart::Part;
 use serde_json::{Value, json};
 
 use crate::api::{FrameAnswer, InferOptions, InferRequest, JobOut, ModelOut};
-use crate::cli::client::{Client, TextPart};
+use crate::cli::client::Client;
 use crate::cli::download::DATASET_WAIT;
 use crate::cli::error::{CliError, CliResult};
 use crate::cli::files::read_input;
@@ -222,14 +223,14 @@ impl ServiceLab {
         let path = folder.join(MANIFEST);
         let manifest: Manifest = parse_toml(&path.display().to_string(), &read_input(&path)?)?;
         let mut texts = vec![
-            TextPart::value("sensor", read_input(&folder.join(SENSOR_FILE))?),
-            TextPart::value("facts", manifest.model.to_toml()),
-            TextPart::value("name", name.into()),
-            TextPart::value("id", manifest.id.to_string()),
+            ("sensor", Part::text(read_input(&folder.join(SENSOR_FILE))?)),
+            ("facts", Part::text(manifest.model.to_toml())),
+            ("name", Part::text(name.to_owned())),
+            ("id", Part::text(manifest.id.to_string())),
         ];
         let residuals = folder.join(RESIDUALS);
         if residuals.exists() {
-            texts.push(TextPart::value("residuals", read_input(&residuals)?));
+            texts.push(("residuals", Part::text(read_input(&residuals)?)));
         }
         if self.output == Output::Text {
             note(format_args!("adding {name}"));
