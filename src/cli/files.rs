@@ -9,7 +9,6 @@ use sim_core::sensor::{Sensor, SensorError, SensorFile};
 
 use super::error::{CliError, CliResult, io_words};
 use crate::carried::{self, EXPERIMENTS, FAULTS, RECIPES, RIGS, SENSORS};
-use crate::digest::sha256_hex;
 use crate::file_kind::FileKind;
 use crate::near::did_you_mean;
 use crate::new_file;
@@ -91,16 +90,6 @@ impl ExperimentFiles {
         let reach = reach(&rig.file, &rig.config);
         let problems = lint(&self.file, &self.experiment, &self.sensor, &reach);
         Preflight::of(&self.plan, &bench(&rig.config), problems)
-    }
-
-    /// sha256 of the definition's text, as runs store it.
-    pub fn definition_sha256(&self) -> String {
-        sha256_hex(&self.definition)
-    }
-
-    /// sha256 of the sensor file's text, as runs store it.
-    pub fn sensor_sha256(&self) -> String {
-        sha256_hex(&self.sensor_text)
     }
 }
 

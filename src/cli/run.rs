@@ -23,6 +23,7 @@ use super::signals::Signals;
 use super::summary::Closing;
 use super::view::{PreflightView, StatusView};
 use super::{At, embed};
+use crate::digest::sha256_hex;
 use crate::ids::RunUid;
 use crate::new_file::make_folder;
 use crate::problem::Problem;
@@ -45,10 +46,8 @@ pub struct RunArgs {
     /// Abort when the run has waited for a person for this duration, s [default: wait].
     #[arg(long, value_name = "SECONDS")]
     pub patience: Option<u32>,
-    /// Confirmation of the motion.
     #[command(flatten)]
     pub motion: MotionArgs,
-    /// Bench to run on.
     #[command(flatten)]
     pub bench: BenchArgs,
     #[command(flatten)]
@@ -78,25 +77,11 @@ impl RunArgs {
 }
 
 /// Inputs of the client, wherever the service runs.
-struct Order {
+struct Order<'a> {
+    args: &'a RunArgs,
     files: ExperimentFiles,
-    new: bool,
-    detach: bool,
-    motion: MotionArgs,
-    json: bool,
-    /// Whether the virtual operator works.
-    by_itself: bool,
     /// Whether this command started the service.
     own_service: bool,
-    patience: Option<Duration>,
-}
-
-/// What became of the run.
-enum Outcome {
-    /// It has ended, or nothing drives it any more.
-    Closed(Box<Closing>),
-    /// It was left to the service.
-    Detached(Box<RunRow>),
 }
 
 /// Runs `palpate run`.
@@ -111,18 +96,9 @@ pub async fn run(args: RunArgs) -> CliResult<ExitCode> {
     args.check(server.as_ref())?;
     let rig = RigFiles::read(args.bench.rig.as_deref())?;
     let (output, data) = (args.at.output(), args.at.data());
-    let order = Order {
-        files,
-        new: args.new,
-        detach: args.detach,
-        motion: args.motion,
-        json: args.at.json,
-        by_itself: server.is_none() && args.bench.is_virtual(),
-        own_service: server.is_none(),
-        patience: args.patience.map(|s| Duration::from_secs(s.into())),
-    };
+    let order = Order { args: &args, files, own_service: server.is_none() };
     let mut signals = Signals::catch()?;
-    let (outcome, client, process) = match server {
+    let ((run, closing), client, process) = match server {
         Some(client) => (drive(&client, &order, &mut signals).await?, client, None),
         None => {
             sound(&order.files, &rig)?;
@@ -133,23 +109,19 @@ pub async fn run(args: RunArgs) -> CliResult<ExitCode> {
             let starting = OwnServer::on_bench(&args.bench, &data, &sensor, output);
             let own = signals.during(starting).await?;
             let (client, process) = (own.client.clone(), own.process());
-            let outcome = drive(&client, &order, &mut signals).await;
-            if !matches!(outcome, Ok(Outcome::Detached(_))) {
+            let driven = drive(&client, &order, &mut signals).await;
+            if !matches!(driven, Ok((_, None))) {
                 own.end().await?;
             }
-            (outcome?, client, process)
+            (driven?, client, process)
         }
     };
-    match outcome {
-        Outcome::Detached(run) => {
-            detached(&client, run.scan_id, run.uid, process, output);
-            Ok(ExitCode::SUCCESS)
-        }
-        Outcome::Closed(closing) => {
-            let url = process.is_none().then(|| client.url());
-            Ok(closed(&closing.with_next(&data, url, args.new), output))
-        }
-    }
+    let Some(closing) = closing else {
+        detached(&client, run.scan_id, run.uid, process, output);
+        return Ok(ExitCode::SUCCESS);
+    };
+    let url = process.is_none().then(|| client.url());
+    Ok(closed(&closing.with_next(&data, url, args.new), output))
 }
 
 /// Rejects an experiment that the rig cannot run, before anything is started.
@@ -158,8 +130,12 @@ fn sound(files: &ExperimentFiles, rig: &RigFiles) -> CliResult<()> {
     if problems.is_empty() { Ok(()) } else { Err(CliError::Problems(problems)) }
 }
 
-/// Brings the rig up, starts the run and follows it, like any client.
-async fn drive(client: &Client, order: &Order, signals: &mut Signals) -> CliResult<Outcome> {
+/// Brings the rig up, starts the run and follows it, like any client. No summary: the run was left to the service.
+async fn drive(
+    client: &Client,
+    order: &Order<'_>,
+    signals: &mut Signals,
+) -> CliResult<(RunRow, Option<Closing>)> {
     let (mut starting, mut homes) = (None, false);
     let begun = signals.during(begin(client, order, &mut starting, &mut homes)).await;
     end_motion(client, homes, &begun).await;
@@ -171,22 +147,20 @@ async fn drive(client: &Client, order: &Order, signals: &mut Signals) -> CliResu
     if waiting {
         note(order, &format!("run {} starts when the active run has ended", run.scan_id));
     }
-    if order.detach || signals.hung_up() {
-        return Ok(Outcome::Detached(run.into()));
+    let args = order.args;
+    if args.detach || signals.hung_up() {
+        return Ok((run, None));
     }
     let watch = Watch {
         run: run.uid,
         since,
         waiting,
-        json: order.json,
-        by_itself: order.by_itself,
+        json: args.at.json,
+        by_itself: order.own_service && args.bench.is_virtual(),
         own_service: order.own_service,
-        patience: order.patience,
+        patience: args.patience.map(|s| Duration::from_secs(s.into())),
     };
-    Ok(match to_its_end(client, watch, signals).await? {
-        Some(closing) => Outcome::Closed(Box::new(closing)),
-        None => Outcome::Detached(run.into()),
-    })
+    Ok((run, to_its_end(client, watch, signals).await?))
 }
 
 /// A run that this command starts.
@@ -225,12 +199,12 @@ async fn take_back(client: &Client, start: Start, error: &CliError) {
 /// that it starts; `homes`: as in `bring_up`.
 async fn begin(
     client: &Client,
-    order: &Order,
+    order: &Order<'_>,
     starting: &mut Option<Start>,
     homes: &mut bool,
 ) -> CliResult<(RunRow, i64, bool)> {
-    let status = bring_up(client, order.motion, homes).await?;
-    if let Some(active) = status.run.as_ref().filter(|_| !order.new) {
+    let status = bring_up(client, order.args.motion, homes).await?;
+    if let Some(active) = status.run.as_ref().filter(|_| !order.args.new) {
         let run = client.run(active.uid).await?;
         if order.is_of(&run, &status) {
             note(order, &format!("run {} is active: following it", run.scan_id));
@@ -245,7 +219,8 @@ async fn begin(
             run
         }
         None => {
-            let run = enqueue(client, &order.files).await?;
+            let body = submission(client, &order.files);
+            let run: RunRow = client.post("/api/v1/queue", &body).await?;
             *starting = Some(Start::Queued(run.uid));
             run
         }
@@ -255,13 +230,13 @@ async fn begin(
     Ok((run, since, waiting))
 }
 
-impl Order {
+impl Order<'_> {
     /// Whether a run is of the same files on the same rig. The addresses of a virtual rig change, so rig
     /// files are compared by name and label.
     fn is_of(&self, run: &RunRow, status: &StatusView) -> bool {
         let rig = run.rig.as_deref().and_then(|text| RigSetup::from_toml("", text).ok());
-        run.definition_sha256 == self.files.definition_sha256()
-            && run.sensor_sha256 == self.files.sensor_sha256()
+        run.definition_sha256 == sha256_hex(&self.files.definition)
+            && run.sensor_sha256 == sha256_hex(&self.files.sensor_text)
             && rig
                 .is_some_and(|rig| rig.name() == status.rig.name && rig.label() == status.rig.label)
     }
@@ -271,17 +246,13 @@ impl Order {
 /// resumed only by its number: `palpate resume RUN`.
 async fn resumable(
     client: &Client,
-    order: &Order,
+    order: &Order<'_>,
     status: &StatusView,
 ) -> CliResult<Option<RunRow>> {
-    if order.new {
+    if order.args.new {
         return Ok(None);
     }
     client.find_run(|run| goes_on(run) && order.is_of(run, status)).await
-}
-
-async fn enqueue(client: &Client, files: &ExperimentFiles) -> CliResult<RunRow> {
-    client.post("/api/v1/queue", &submission(client, files)).await
 }
 
 /// Body of the request that queues an experiment.
@@ -309,8 +280,8 @@ fn preflight_words(run: &RunRow, preflight: &PreflightView, status: &StatusView)
 }
 
 /// Prints a line for people, in addition to the output for scripts.
-fn note(order: &Order, words: &str) {
-    if order.json {
+fn note(order: &Order<'_>, words: &str) {
+    if order.args.at.json {
         tracing::info!("{words}");
     } else {
         output::note(words);
