@@ -64,7 +64,8 @@ pub async fn attach(args: AttachArgs) -> CliResult<ExitCode> {
         detached(&client, run.scan_id, run.uid, None, args.at.output());
         return Ok(ExitCode::SUCCESS);
     };
-    Ok(closed(&closing.with_next(&args.at.data(), Some(client.url()), false), args.at.output()))
+    let next = closing.next_commands(&args.at.data(), Some(client.url()), false);
+    Ok(closed(&closing, &next, args.at.output()))
 }
 
 /// Follows a run to its end; none if it was left to the service.
@@ -92,8 +93,8 @@ pub async fn to_its_end(
         Some(_) => None,
     };
     let history = history(client, uid).await;
-    let closing = Closing::of(summary, status.service.database, status.rig.clock_rate, why);
-    Ok(Some(closing.with_fit(fit).with_history(history.as_ref())))
+    let (database, clock_rate) = (status.service.database, status.rig.clock_rate);
+    Ok(Some(Closing::of(summary, database, clock_rate, why, fit, history.as_ref())))
 }
 
 /// History of a run, with all its trials in one interval: its states and events are what counts.
@@ -111,13 +112,13 @@ async fn fit(client: &Client, run: RunUid) -> Option<SimulationReport> {
     report.inspect_err(|error| tracing::warn!(%error, "the fit of the twins is unknown")).ok()
 }
 
-/// Prints the closing summary; returns the exit code.
-pub fn closed(closing: &Closing, output: Output) -> ExitCode {
+/// Prints the closing summary with the next commands; returns the exit code.
+pub fn closed(closing: &Closing, next: &Next, output: Output) -> ExitCode {
     match output {
         Output::Json => say_json(&closing.finished()),
         Output::Text => {
             say(closing.to_string().trim_end());
-            closing.next_commands().say();
+            next.say();
         }
     }
     if closing.is_success() { ExitCode::SUCCESS } else { ExitCode::FAILURE }

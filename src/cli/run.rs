@@ -121,7 +121,7 @@ pub async fn run(args: RunArgs) -> CliResult<ExitCode> {
         return Ok(ExitCode::SUCCESS);
     };
     let url = process.is_none().then(|| client.url());
-    Ok(closed(&closing.with_next(&data, url, args.new), output))
+    Ok(closed(&closing, &closing.next_commands(&data, url, args.new), output))
 }
 
 /// Rejects an experiment that the rig cannot run, before anything is started.

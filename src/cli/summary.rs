@@ -3,6 +3,7 @@
 //! Uses: `api::{History, Summary}`. Never: numbers that were not measured.
 
 use std::fmt;
+use std::path::Path;
 
 use serde_json::{Value, json};
 
@@ -33,29 +34,21 @@ pub struct Closing {
     fit: Option<SimulationReport>,
     /// Whether the run was stopped or interrupted, and resumed; `None` if unknown.
     was_resumed: Option<bool>,
-    data: String,
-    follow_url: Option<String>,
-    /// How the command is typed to resume the run.
-    again: &'static str,
 }
 
 impl Closing {
-    /// Summary of a run. `why_left` is the reason if it was left open.
-    pub fn of(summary: Summary, database: String, clock_rate: f64, why_left: Option<&str>) -> Self {
+    /// Summary of a run. `why_left` is the reason if it was left open; fit of its twins and history, if known.
+    pub fn of(
+        summary: Summary,
+        database: String,
+        clock_rate: f64,
+        why_left: Option<&str>,
+        fit: Option<SimulationReport>,
+        history: Option<&History>,
+    ) -> Self {
         let reason = summary.run.reason.clone().or(why_left.map(Into::into)).unwrap_or_default();
-        let (fit, was_resumed, data, follow_url, again) =
-            (None, None, String::new(), None, "again");
-        Self { summary, reason, database, clock_rate, fit, was_resumed, data, follow_url, again }
-    }
-
-    /// Adds the fit of the simulated twins.
-    pub fn with_fit(self, fit: Option<SimulationReport>) -> Self {
-        Self { fit, ..self }
-    }
-
-    /// Adds the history of the run, if known.
-    pub fn with_history(self, history: Option<&History>) -> Self {
-        Self { was_resumed: history.map(was_resumed), ..self }
+        let was_resumed = history.map(was_resumed);
+        Self { summary, reason, database, clock_rate, fit, was_resumed }
     }
 
     /// How the run ended; `Stopped` also if it is open.
@@ -103,20 +96,12 @@ impl Closing {
         })
     }
 
-    /// Adds the next commands: with the data folder, or the service that has the run. `new`: the command was typed
-    /// with `--new`.
-    pub fn with_next(mut self, data: &std::path::Path, server: Option<&str>, new: bool) -> Self {
-        self.again = if new { "without --new" } else { "again" };
-        self.data = data.display().to_string();
-        self.follow_url = server.map(Into::into);
-        self
-    }
-
-    /// Commands that show or resume the run, as suggestions.
-    pub fn next_commands(&self) -> Next {
+    /// Commands that show or resume the run: with the data folder, or the service that has the run. `new`: the command
+    /// was typed with `--new`.
+    pub fn next_commands(&self, data: &Path, server: Option<&str>, new: bool) -> Next {
         let run = self.summary.run.scan_id;
-        let (url, is_default) = (self.follow_url.clone(), self.data == DEFAULT_DATA);
-        let data = (url.is_none() && !is_default).then(|| self.data.clone().into());
+        let is_named = server.is_none() && data != Path::new(DEFAULT_DATA);
+        let (url, data) = (server.map(Into::into), is_named.then(|| data.into()));
         let mut next = Next::of(&At { url, data, ..At::default() });
         if self.summary.run.state == StoredState::Queued {
             next = next
@@ -124,10 +109,11 @@ impl Closing {
                 .suggest(format_args!("palpate queue remove {run}"), "takes it out of the queue");
         } else if self.is_resumable() {
             let what = "resumes where it stopped";
-            next = match (&self.follow_url, self.summary.run.exit_status) {
+            let again = if new { "without --new" } else { "again" };
+            next = match (server, self.summary.run.exit_status) {
                 // The command may have been `attach`.
                 (Some(_), _) => next.suggest(format_args!("palpate resume {run}"), what),
-                (None, None | Some(ExitStatus::Stopped)) => next.same_command(self.again, what),
+                (None, None | Some(ExitStatus::Stopped)) => next.same_command(again, what),
                 // A run that was aborted or has failed is resumed by its number only.
                 (None, _) => next.suggest(
                     format_args!("palpate resume {run}"),
@@ -138,7 +124,7 @@ impl Closing {
         next = next
             .suggest(format_args!("palpate show {run}"), "draws it in the terminal")
             .suggest(format_args!("palpate report {run}"), "its findings, as HTML and PDF");
-        match self.follow_url {
+        match server {
             None => next.suggest("palpate serve --open", "shows it in the browser"),
             Some(_) => next,
         }
@@ -254,12 +240,10 @@ fn scaled(counts: &[u64; 6], pressed: u64, stored: u64) -> [f64; 7] {
 
 #[cfg(test)]
 mod tests {
-    use std::path::Path;
-
     use super::*;
 
     /// A run that ended short of its plan.
-    fn short(exit_status: &str) -> Closing {
+    fn short(exit_status: &str, history: Option<&History>) -> Closing {
         let run = json!({
             "uid": "01a208ed-3612-760c-9dff-1d5fb515cdf8", "scan_id": 3, "experiment": "night",
             "kind": "real-hex", "definition": "", "definition_sha256": "ab", "seed": 1, "rig": "",
@@ -277,14 +261,15 @@ mod tests {
             "contact_counts": [0, 12, 0, 0, 0, 0, 0], "settings": [], "skips": [],
             "duration_s": null,
         });
-        Closing::of(serde_json::from_value(summary).unwrap(), "d".into(), 1.0, None)
+        let summary = serde_json::from_value(summary).unwrap();
+        Closing::of(summary, "d".into(), 1.0, None, None, history)
     }
 
     #[test]
     fn what_resumes_a_run_is_named_and_nothing_that_starts_another_one() {
         let next = |status: &str, server: Option<&str>, new: bool| {
-            let closing = short(status).with_next(Path::new(DEFAULT_DATA), server, new);
-            format!("{:?}", closing.next_commands())
+            let data = Path::new(DEFAULT_DATA);
+            format!("{:?}", short(status, None).next_commands(data, server, new))
         };
         assert!(next("stopped", None, false).contains("the same command again"));
         assert!(next("stopped", None, true).contains("the same command without --new"));
@@ -308,7 +293,7 @@ mod tests {
             history["states"] = states.iter().map(span).collect();
             history["events"] = events.iter().map(event).collect();
             let history: History = serde_json::from_value(history).unwrap();
-            let mut closing = short("success").with_history(Some(&history));
+            let mut closing = short("success", Some(&history));
             (closing.summary.duration_s, closing.clock_rate) = (Some(1020.0), 60.0);
             let shown = closing.to_string();
             shown.lines().find_map(|line| line.strip_prefix("  start to end ")).unwrap().to_owned()
