@@ -317,10 +317,7 @@ fn on_runtime(command: Command) -> CliResult<ExitCode> {
 
 async fn answer(command: Command) -> CliResult<ExitCode> {
     match command {
-        Command::Plan(args) => {
-            plan_plot::plot(&args).await?;
-            plan::plan(&args)?;
-        }
+        Command::Plan(args) => plan::plan(&args).await?,
         Command::Init(args) => init::init(&args)?,
         Command::Calibrate(args) => calibrate::calibrate(args).await?,
         Command::Run(args) => return run::run(args).await,

@@ -1,6 +1,6 @@
 //! `palpate plan`: preflight and ordered schedule of an experiment; nothing moves, no service is
 //! used.
-//! Uses: `files`, `schedule`, `next`. Never: the network, the clock: the same files give the same bytes.
+//! Uses: `files`, `schedule`, `plan_plot`, `next`. Never: the network, the clock: the same files give the same bytes.
 
 use std::path::{Path, PathBuf};
 
@@ -12,6 +12,7 @@ use super::files::{ExperimentFiles, RigFiles};
 use super::next::{Next, word};
 use super::output::{say, say_json};
 use super::picture::figure_file;
+use super::plan_plot;
 use crate::schedule::configuration::Stand;
 use crate::schedule::plan::Step;
 
@@ -39,8 +40,8 @@ pub struct PlanArgs {
 /// Runs `palpate plan`.
 ///
 /// # Errors
-/// `CliError::Problems` if a file is invalid.
-pub fn plan(args: &PlanArgs) -> CliResult<()> {
+/// `CliError::Problems` if a file is invalid; others if the figure cannot be written.
+pub async fn plan(args: &PlanArgs) -> CliResult<()> {
     let read = ExperimentFiles::read(&args.experiment)
         .and_then(|files| RigFiles::read(args.rig.as_deref()).map(|rig| (files, rig)));
     let (files, rig) = match read {
@@ -51,6 +52,9 @@ pub fn plan(args: &PlanArgs) -> CliResult<()> {
         read => read?,
     };
     let preflight = files.preflight(&rig);
+    if let Some(file) = &args.plot {
+        plan_plot::plot(file, &files, &rig, &preflight).await?;
+    }
     let steps = args.steps.then_some(&files.plan.steps);
     if args.json {
         let mut object = json!(preflight);

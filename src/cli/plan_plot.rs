@@ -1,26 +1,29 @@
 //! `palpate plan --plot`: the plan of an experiment on the skin.
 //! Uses: `files`, `figure::tour`, `picture`. Never: the network, motion.
 
+use std::path::Path;
+
 use super::error::CliResult;
 use super::files::{ExperimentFiles, RigFiles};
 use super::output::{counted, duration};
 use super::picture;
-use super::plan::PlanArgs;
 use crate::evaluate::figures::FigureError;
 use crate::figure::Heading;
 use crate::figure::skin::Outline;
 use crate::figure::tour::{Leg, Stop, WAY_STOPS, tour};
 use crate::schedule::plan::{Kind, Plan, Step};
+use crate::schedule::preflight::Preflight;
 
-/// Draws the plan to the requested file; does nothing without one.
+/// Draws the plan on this rig to a file.
 ///
 /// # Errors
-/// `CliError` if a file is invalid, or the figure cannot be written.
-pub async fn plot(args: &PlanArgs) -> CliResult<()> {
-    let Some(file) = &args.plot else { return Ok(()) };
-    let files = ExperimentFiles::read(&args.experiment)?;
-    let rig = RigFiles::read(args.rig.as_deref())?;
-    let preflight = files.preflight(&rig);
+/// `CliError` if the figure cannot be drawn or written.
+pub async fn plot(
+    file: &Path,
+    files: &ExperimentFiles,
+    rig: &RigFiles,
+    preflight: &Preflight,
+) -> CliResult<()> {
     let label = format!("planned, {} rig", rig.config.label().as_str());
     let things = match files.plan.kind {
         Kind::RealHex => "configurations",
@@ -94,8 +97,6 @@ fn legs(plan: &Plan) -> Vec<Leg> {
 
 #[cfg(test)]
 mod tests {
-    use std::path::Path;
-
     use super::*;
 
     fn plan(name: &str) -> Plan {

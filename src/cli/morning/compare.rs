@@ -99,18 +99,10 @@ fn flatten(path: &str, value: &toml::Value, keys: &mut BTreeMap<String, String>)
     }
 }
 
-/// A run as it is compared: the order of its plan, and its trials.
-#[derive(Debug, Clone, Copy)]
-pub struct Toured<'a> {
-    /// Where its plan presses, in the planned order.
-    pub tour: &'a Tour,
-    /// Its stored trials.
-    pub trials: &'a [TrialFacts],
-}
-
-/// The trials of two runs at the same place and depth. Places are compared to 0.1 mm, depths to 0.01 mm; a
-/// place that a plan has several times is paired in the order of its configurations.
-pub fn pairs(before: Toured<'_>, after: Toured<'_>) -> Vec<Pair> {
+/// The trials of two runs at the same place and depth. Of each run: where its plan presses, in the planned order, and its
+/// stored trials. Places are compared to 0.1 mm, depths to 0.01 mm; a place that a plan has several times is paired in the
+/// order of its configurations.
+pub fn pairs(before: (&Tour, &[TrialFacts]), after: (&Tour, &[TrialFacts])) -> Vec<Pair> {
     let (a, b) = (places(before), places(after));
     let mut pairs = Vec::new();
     for (number, (place, trials)) in a.iter().enumerate() {
@@ -133,7 +125,9 @@ pub fn pairs(before: Toured<'_>, after: Toured<'_>) -> Vec<Pair> {
 /// Contacts in tenths of a millimetre, and how often the plan had them before.
 type Place = (Vec<[i64; 2]>, usize);
 
-fn places(Toured { tour, trials }: Toured<'_>) -> BTreeMap<Place, BTreeMap<i64, &TrialFacts>> {
+fn places<'a>(
+    (tour, trials): (&Tour, &'a [TrialFacts]),
+) -> BTreeMap<Place, BTreeMap<i64, &'a TrialFacts>> {
     let mut of_configuration = HashMap::<u32, Vec<&TrialFacts>>::new();
     for trial in trials {
         of_configuration.entry(trial.configuration).or_default().push(trial);
@@ -251,8 +245,7 @@ mod tests {
         let b = tour(&[5, 4, 6], &[[30.02, 40.0], [10.0, 20.0], [90.0, 90.0]]);
         let before = [trial(1, 0, 1.0, 5.0), trial(2, 1, 1.0, 6.0), trial(3, 2, 1.0, 7.0)];
         let after = [trial(11, 4, 1.0, 5.5), trial(12, 5, 1.0, 8.0), trial(13, 5, 2.0, 1.0)];
-        let found =
-            pairs(Toured { tour: &a, trials: &before }, Toured { tour: &b, trials: &after });
+        let found = pairs((&a, &before), (&b, &after));
         let ids: Vec<(i64, i64)> = found.iter().map(|pair| (pair.before, pair.after)).collect();
         assert_eq!(ids, [(1, 11), (2, 12)]);
         assert_eq!(found.iter().map(|pair| pair.force_n.unwrap()).collect::<Vec<_>>(), [0.5, 2.0]);

@@ -10,7 +10,7 @@ use sim_core::stats::fvu;
 use super::DiffArgs;
 use super::answers::{TrialFacts, TwinsOf, all_trials, fit_of, state_words, stored_words};
 use super::compare::{
-    Change, Difference, Pair, Toured, by_depth, by_place, changes, difference, pairs, sampled,
+    Change, Difference, Pair, by_depth, by_place, changes, difference, pairs, sampled,
 };
 use crate::api::{Page, Summary};
 use crate::cli::client::Client;
@@ -106,10 +106,7 @@ pub async fn diff(client: &Client, args: &DiffArgs) -> CliResult<()> {
         ("sensor", changes(Some(&a.sensor), Some(&b.sensor))),
     ];
     let paired = match (&before.tour, &after.tour) {
-        (Some(one), Some(two)) => pairs(
-            Toured { tour: one, trials: &before.trials },
-            Toured { tour: two, trials: &after.trials },
-        ),
+        (Some(one), Some(two)) => pairs((one, &before.trials), (two, &after.trials)),
         _ => Vec::new(),
     };
     let frames = frames(client, &paired).await?;
