@@ -13,7 +13,7 @@ use reqwest::{Method, RequestBuilder, Response, header};
 use rustls::ClientConfig;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
-use serde_json::{Value, json};
+use serde_json::Value;
 use tokio_tungstenite::tungstenite::client::IntoClientRequest;
 use tokio_tungstenite::tungstenite::{self, Message};
 use tokio_tungstenite::{Connector, connect_async_tls_with_config};
@@ -298,7 +298,10 @@ impl Client {
         let operation = format!("{method} {path}");
         tracing::debug!(operation, url = self.url, "request");
         let request = complete(self.http.request(method, format!("{}{path}", self.url)));
-        let mut request = self.with_key(request).timeout(self.answer_within);
+        let mut request = request.timeout(self.answer_within);
+        if let Some(key) = &self.key {
+            request = request.bearer_auth(key);
+        }
         if let Some(at) = self.status_at {
             request = request.header("status-at", at.to_string());
         }
@@ -330,17 +333,7 @@ impl Client {
         Some(CliError::Untrusted { url: self.url.clone(), why })
     }
 
-    fn with_key(&self, request: RequestBuilder) -> RequestBuilder {
-        match &self.key {
-            Some(key) => request.bearer_auth(key),
-            None => request,
-        }
-    }
-
     fn body(&self, action: &str, mut more: Value) -> Value {
-        if !more.is_object() {
-            more = json!({});
-        }
         more["action"] = action.into();
         more["who"] = self.who.clone().into();
         more
@@ -396,6 +389,8 @@ fn refusal(operation: &str, status: u16, body: &Value) -> CliError {
 
 #[cfg(test)]
 mod tests {
+    use serde_json::json;
+
     use super::*;
 
     #[test]

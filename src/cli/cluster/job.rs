@@ -12,7 +12,7 @@ pub const JOB_FILE: &str = "job.sh";
 pub const JOB_LOGS: &str = "log";
 
 /// An array job. Its paths and words need no quotes.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Job {
     /// Absolute path of this program.
     pub palpate: String,

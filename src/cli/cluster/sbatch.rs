@@ -117,48 +117,37 @@ pub struct JobArgs {
 pub async fn sbatch(args: &SbatchArgs) -> CliResult<()> {
     match &args.command {
         SbatchCommand::Random { request, job } => {
-            let places = job.places(request.data.clone())?;
+            let draft = job.draft(request.data.clone())?;
             let SolvedRequest { definition, sensor_text, calibration_text, .. } =
                 request.solve()?;
             let order = work_order(&definition, sensor_text, calibration_text)?;
-            let rows = definition.trials;
-            let (folder, is_new) = OrderFolder::write(&job.folder, order)?;
-            let contents = format!("{} trials", grouped(rows));
-            job.finish(&folder, &places, is_new, &contents, &[])
+            let contents = format!("{} trials", grouped(definition.trials));
+            job.finish(draft, OrderFolder::write(&job.folder, order)?, &contents, &[])
         }
         SbatchCommand::Table { request, job } => {
-            let places = job.places(request.place.data.clone())?;
-            let (folder, is_new) = request.write(&job.folder, job.json).await?;
-            let contents = format!("{} nets", folder.order().chunks);
-            job.finish(&folder, &places, is_new, &contents, request.resources())
+            let draft = job.draft(request.place.data.clone())?;
+            let written = request.write(&job.folder, job.json).await?;
+            let contents = format!("{} nets", written.0.order().chunks);
+            job.finish(draft, written, &contents, request.resources())
         }
         SbatchCommand::Twins { request, job } => {
-            let places = job.places(request.place.data.clone())?;
+            let draft = job.draft(request.place.data.clone())?;
             let (order, trials) = request.order(job.json).await?;
             let contents = format!("{} twins", grouped(trials));
-            let (folder, is_new) = OrderFolder::write(&job.folder, order)?;
-            job.finish(&folder, &places, is_new, &contents, &[])
+            job.finish(draft, OrderFolder::write(&job.folder, order)?, &contents, &[])
         }
         SbatchCommand::Evaluation { request, job } => {
-            let places = job.places(request.place.data.clone())?;
+            let draft = job.draft(request.place.data.clone())?;
             let (order, frames) = request.order(job.json).await?;
             let contents = format!("{} frames", grouped(frames));
-            let (folder, is_new) = OrderFolder::write(&job.folder, order)?;
-            job.finish(&folder, &places, is_new, &contents, &[])
+            job.finish(draft, OrderFolder::write(&job.folder, order)?, &contents, &[])
         }
     }
 }
 
-/// Absolute paths of the job.
-struct Places {
-    palpate: String,
-    folder: String,
-    data: String,
-}
-
 impl JobArgs {
-    /// Checks the options, and returns the paths of the job.
-    fn places(&self, data: Option<PathBuf>) -> CliResult<Places> {
+    /// Checks the options, and returns the job, still without an order.
+    fn draft(&self, data: Option<PathBuf>) -> CliResult<Job> {
         let mut checks = Checks::of("command line");
         let limit = format!("must be from 1 to {TASKS_MAX}");
         checks.require((1..=TASKS_MAX).contains(&self.tasks), "tasks", self.tasks, &limit);
@@ -186,28 +175,25 @@ impl JobArgs {
             checks.require(is_plain(path), key, path, words);
         }
         checks.done()?;
-        Ok(Places { palpate, folder, data })
+        Ok(Job { palpate, folder, data, cpus: self.cpus, ..Job::default() })
     }
 
-    /// Writes the job of an order, and reports both. `resources`: further options of `sbatch` that its kind needs.
+    /// Writes the job of an order, which is in this folder and may be new there, and reports both. `resources`: further
+    /// options of `sbatch` that its kind needs.
     fn finish(
         &self,
-        folder: &OrderFolder,
-        places: &Places,
-        is_new: bool,
+        draft: Job,
+        (folder, is_new): (OrderFolder, bool),
         contents: &str,
         resources: &[&str],
     ) -> CliResult<()> {
         let order = folder.order();
         let job = Job {
-            palpate: places.palpate.clone(),
-            folder: places.folder.clone(),
-            data: places.data.clone(),
             order: order.short_id().into(),
             chunks: order.chunks,
             tasks: self.tasks.min(order.chunks),
-            cpus: self.cpus,
             options: self.options(resources),
+            ..draft
         };
         let (path, text) = (self.folder.join(JOB_FILE), job.to_string());
         let is_same = fs::read_to_string(&path).is_ok_and(|there| there == text);
@@ -219,12 +205,12 @@ impl JobArgs {
         }
         if self.json {
             say_json(&json!({
-                "folder": places.folder,
+                "folder": job.folder,
                 "order": order.id,
                 "kind": order.kind,
                 "chunks": order.chunks,
                 "tasks": job.tasks,
-                "job": format!("{}/{JOB_FILE}", places.folder),
+                "job": format!("{}/{JOB_FILE}", job.folder),
                 "changed": is_new || !is_same,
             }));
             return Ok(());

@@ -99,9 +99,9 @@ fn flatten(path: &str, value: &toml::Value, keys: &mut BTreeMap<String, String>)
     }
 }
 
-/// The trials of two runs at the same place and depth. Of each run: where its plan presses, in the planned order, and its
-/// stored trials. Places are compared to 0.1 mm, depths to 0.01 mm; a place that a plan has several times is paired in the
-/// order of its configurations.
+/// The trials of two runs at the same place and depth. Of each run: where its plan presses, in the planned order, and
+/// its stored trials. Places are compared to 0.1 mm, depths to 0.01 mm; a place that a plan has several times is paired
+/// in the order of its configurations.
 pub fn pairs(before: (&Tour, &[TrialFacts]), after: (&Tour, &[TrialFacts])) -> Vec<Pair> {
     let (a, b) = (places(before), places(after));
     let mut pairs = Vec::new();
