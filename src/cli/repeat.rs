@@ -70,34 +70,43 @@ fn is_in_progress(answer: &Response) -> bool {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use serde_json::json;
-    use tokio::io::{AsyncReadExt, AsyncWriteExt};
+    use tokio::io::{AsyncRead, AsyncReadExt, AsyncWriteExt};
     use tokio::net::TcpListener;
     use tokio::task::JoinHandle;
 
     use super::super::trust;
     use super::*;
 
-    /// Answers each connection in turn: with the text, or for an empty one by closing it. Returns the
-    /// heads of the requests.
-    async fn answers(texts: &'static [&'static str]) -> (String, JoinHandle<Vec<String>>) {
+    /// Reads one request: those with a body end with it.
+    async fn request(wire: &mut (impl AsyncRead + Unpin)) -> Vec<u8> {
+        let mut request = Vec::new();
+        while !(request.ends_with(b"}") || request.starts_with(b"GET"))
+            || !request.windows(4).any(|end| end == b"\r\n\r\n")
+        {
+            let length = wire.read_buf(&mut request).await.unwrap();
+            assert!(length > 0, "the client closed within a request: {request:?}");
+        }
+        request
+    }
+
+    /// Answers each connection in turn: with the text, or for an empty one by closing it. Returns the URL, and the
+    /// requests in lower case.
+    pub async fn answers(texts: Vec<String>) -> (String, JoinHandle<Vec<String>>) {
         let door = TcpListener::bind("127.0.0.1:0").await.unwrap();
         let url = format!("http://{}", door.local_addr().unwrap());
-        let heads = tokio::spawn(async move {
-            let mut heads = Vec::new();
+        let heard = tokio::spawn(async move {
+            let mut heard = Vec::new();
             for text in texts {
                 let (mut wire, _) = door.accept().await.unwrap();
-                let mut request = Vec::new();
-                while !request.ends_with(b"{}") {
-                    wire.read_buf(&mut request).await.unwrap();
-                }
-                heads.push(String::from_utf8_lossy(&request).to_lowercase());
+                let request = request(&mut wire).await;
+                heard.push(String::from_utf8_lossy(&request).to_lowercase());
                 wire.write_all(text.as_bytes()).await.unwrap();
             }
-            heads
+            heard
         });
-        (url, heads)
+        (url, heard)
     }
 
     async fn posted(url: &str, path: &str) -> Result<Response, Error> {
@@ -113,10 +122,16 @@ mod tests {
     const DONE: &str = "HTTP/1.1 200 OK\r\nconnection: close\r\ncontent-length: 2\r\n\r\n{}";
 
     #[tokio::test]
+    #[should_panic(expected = "the client closed within a request")]
+    async fn a_request_that_ends_early_fails_the_test() {
+        request(&mut &b"POST / HTTP/1.1\r\n"[..]).await;
+    }
+
+    #[tokio::test]
     async fn a_request_that_starts_something_is_repeated_with_its_key() {
         const BUSY: &str = "HTTP/1.1 409 Conflict\r\nretry-after: 1\r\nconnection: close\r\n\
                             content-length: 0\r\n\r\n";
-        let (url, heads) = answers(&["", BUSY, DONE]).await;
+        let (url, heads) = answers(["", BUSY, DONE].map(String::from).into()).await;
         posted(&url, "/api/v1/queue").await.unwrap();
         let heads = heads.await.unwrap();
         let keys: HashSet<_> = heads.iter().map(|head| key_of(head).unwrap()).collect();
@@ -125,7 +140,7 @@ mod tests {
 
     #[tokio::test]
     async fn a_request_that_could_start_something_twice_is_not_repeated() {
-        let (url, heads) = answers(&["", DONE]).await;
+        let (url, heads) = answers(["", DONE].map(String::from).into()).await;
         assert!(is_lost(&posted(&url, "/api/v1/keys").await.unwrap_err()));
         posted(&url, "/api/v1/queue").await.unwrap();
         let heads = heads.await.unwrap();

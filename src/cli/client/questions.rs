@@ -170,58 +170,28 @@ impl Client {
 
 #[cfg(test)]
 mod tests {
-    use tokio::io::{AsyncRead, AsyncReadExt, AsyncWriteExt};
-    use tokio::net::TcpListener;
     use tokio::task::JoinHandle;
 
     use super::*;
+    use crate::cli::repeat::tests::answers;
 
     /// The answer to every request.
     const STATUS_BODY: &str = "{\"at\":\"2026-11-26T21:00:00.123456789Z\"}";
     /// The header of an action upon that status.
     const STATED: &str = "status-at: 2026-11-26t21:00:00.123456789z";
 
-    /// Reads one request: those with a body end with it.
-    async fn request(wire: &mut (impl AsyncRead + Unpin)) -> Vec<u8> {
-        let mut request = Vec::new();
-        while !(request.ends_with(b"}") || request.starts_with(b"GET"))
-            || !request.windows(4).any(|end| end == b"\r\n\r\n")
-        {
-            let length = wire.read_buf(&mut request).await.unwrap();
-            assert!(length > 0, "the client closed within a request: {request:?}");
-        }
-        request
-    }
-
     /// A service that answers this number of requests, one per connection; returns them in lower case.
     async fn service(requests: usize) -> (Client, JoinHandle<Vec<String>>) {
-        let door = TcpListener::bind("127.0.0.1:0").await.unwrap();
-        let url = format!("http://{}", door.local_addr().unwrap());
-        let heard = tokio::spawn(async move {
-            let mut heard = Vec::new();
-            for _ in 0..requests {
-                let (mut wire, _) = door.accept().await.unwrap();
-                let request = request(&mut wire).await;
-                heard.push(String::from_utf8_lossy(&request).to_lowercase());
-                let length = STATUS_BODY.len();
-                let head = "HTTP/1.1 200 OK\r\nconnection: close\r\ncontent-type: application/json";
-                let answer = format!("{head}\r\ncontent-length: {length}\r\n\r\n{STATUS_BODY}");
-                wire.write_all(answer.as_bytes()).await.unwrap();
-            }
-            heard
-        });
+        let head = "HTTP/1.1 200 OK\r\nconnection: close\r\ncontent-type: application/json";
+        let length = STATUS_BODY.len();
+        let answer = format!("{head}\r\ncontent-length: {length}\r\n\r\n{STATUS_BODY}");
+        let (url, heard) = answers(vec![answer; requests]).await;
         (Client::new(&url, None, None).unwrap(), heard)
     }
 
     /// Whether each request states the status.
     fn stated(heard: &[String]) -> Vec<bool> {
         heard.iter().map(|request| request.contains(STATED)).collect()
-    }
-
-    #[tokio::test]
-    #[should_panic(expected = "the client closed within a request")]
-    async fn a_request_that_ends_early_fails_the_test() {
-        request(&mut &b"POST / HTTP/1.1\r\n"[..]).await;
     }
 
     #[tokio::test]
