@@ -239,29 +239,47 @@ fn scaled(counts: &[u64; 6], pressed: u64, stored: u64) -> [f64; 7] {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
+    use jiff::Timestamp;
+
     use super::*;
+
+    /// A time of the run of [`summary`], minutes after its start.
+    pub fn time(minutes: i64) -> Timestamp {
+        Timestamp::from_second(1_790_000_000 + 60 * minutes).unwrap()
+    }
+
+    /// A run of 40 trials that ended as a success, changed.
+    pub fn summary(change: impl FnOnce(&mut Value)) -> Summary {
+        let mut run = json!({
+            "uid": "01a208ed-3612-760c-9dff-1d5fb515cdf8", "scan_id": 3, "experiment": "night <1>",
+            "kind": "real-hex", "definition": "name = \"night <1>\"\n", "definition_sha256": "ab",
+            "seed": 1, "rig": "", "rig_sha256": "cd", "sensor": "", "sensor_sha256": "ef",
+            "calibration_id": null, "label": "virtual", "version": "0.1.0", "git_commit": null,
+            "deadband_n": 5.0, "tip_diameter_mm": 20.0, "trials_planned": 40, "auto_resume": true,
+            "not_before": null, "plan_sha256": null, "state": "ended", "requested_state": null,
+            "paused_why": null, "exit_status": "success", "reason": "every planned trial is stored",
+            "queue_position": null, "waiting_since": null, "is_resumable": false, "created_at": time(0),
+            "started_at": time(0), "ended_at": time(60), "submitted_by": "Ada",
+        });
+        let mut summary = json!({
+            "trials_stored": 40, "trials_skipped": 0, "retries": 0,
+            "contact_counts": [0, 20, 20, 0, 0, 0, 0], "settings": [{ "tips": 2, "stored": 40 }],
+            "skips": [], "duration_s": 3600.0,
+        });
+        summary["run"] = run.take();
+        change(&mut summary);
+        serde_json::from_value(summary).unwrap()
+    }
 
     /// A run that ended short of its plan.
     fn short(exit_status: &str, history: Option<&History>) -> Closing {
-        let run = json!({
-            "uid": "01a208ed-3612-760c-9dff-1d5fb515cdf8", "scan_id": 3, "experiment": "night",
-            "kind": "real-hex", "definition": "", "definition_sha256": "ab", "seed": 1, "rig": "",
-            "rig_sha256": "cd", "sensor": "", "sensor_sha256": "ef", "calibration_id": null,
-            "label": "virtual", "version": "0.1.0", "git_commit": null, "deadband_n": 5.0,
-            "tip_diameter_mm": 20.0, "trials_planned": 40, "auto_resume": true,
-            "not_before": null, "plan_sha256": null, "state": "ended", "requested_state": null,
-            "paused_why": null, "exit_status": exit_status, "reason": "12 of 40 trials",
-            "queue_position": null, "waiting_since": null, "is_resumable": true,
-            "created_at": "2026-11-24T22:00:00Z", "started_at": null, "ended_at": null,
-            "submitted_by": "Ada",
+        let summary = summary(|of| {
+            of["trials_stored"] = 12.into();
+            of["run"]["exit_status"] = exit_status.into();
+            of["run"]["reason"] = "12 of 40 trials".into();
+            of["run"]["is_resumable"] = true.into();
         });
-        let summary = json!({
-            "run": run, "trials_stored": 12, "trials_skipped": 0, "retries": 0,
-            "contact_counts": [0, 12, 0, 0, 0, 0, 0], "settings": [], "skips": [],
-            "duration_s": null,
-        });
-        let summary = serde_json::from_value(summary).unwrap();
         Closing::of(summary, "d".into(), 1.0, None, None, history)
     }
 

@@ -1,42 +1,16 @@
 //! Findings and the page, on facts that are made up.
 
-use jiff::Timestamp;
 use serde_json::{Value, json};
 
 use super::super::answers::{TrialFacts, TwinsOf};
 use super::facts::{Facts, Reference, ReferenceArm, Tare, Told};
 use super::findings::{findings, outliers};
 use super::html;
-use crate::api::{StateSpan, Summary};
+use crate::api::StateSpan;
+use crate::cli::summary::tests::{summary, time};
 use crate::evaluate::simulation::report;
 use crate::event::Importance;
 use crate::state::{PausedWhy, StoredState};
-
-fn time(minutes: i64) -> Timestamp {
-    Timestamp::from_second(1_790_000_000 + 60 * minutes).unwrap()
-}
-
-fn summary(change: impl FnOnce(&mut Value)) -> Summary {
-    let mut run = json!({
-        "uid": "01a208ed-3612-760c-9dff-1d5fb515cdf8", "scan_id": 3, "experiment": "night <1>",
-        "kind": "real-hex", "definition": "name = \"night <1>\"\n", "definition_sha256": "ab",
-        "seed": 1, "rig": "", "rig_sha256": "cd", "sensor": "", "sensor_sha256": "ef",
-        "calibration_id": null, "label": "virtual", "version": "0.1.0", "git_commit": null,
-        "deadband_n": 5.0, "tip_diameter_mm": 20.0, "trials_planned": 40, "auto_resume": true,
-        "not_before": null, "plan_sha256": null, "state": "ended", "requested_state": null,
-        "paused_why": null, "exit_status": "success", "reason": "every planned trial is stored",
-        "queue_position": null, "waiting_since": null, "is_resumable": false, "created_at": time(0),
-        "started_at": time(0), "ended_at": time(60), "submitted_by": "Ada",
-    });
-    let mut summary = json!({
-        "trials_stored": 40, "trials_skipped": 0, "retries": 0,
-        "contact_counts": [0, 20, 20, 0, 0, 0, 0], "settings": [{ "tips": 2, "stored": 40 }],
-        "skips": [], "duration_s": 3600.0,
-    });
-    summary["run"] = run.take();
-    change(&mut summary);
-    serde_json::from_value(summary).unwrap()
-}
 
 /// A run without findings: 20 configurations with two tips at two depths.
 fn sound() -> Facts {
