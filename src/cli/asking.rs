@@ -1,24 +1,20 @@
 //! A question at the terminal, whose answer arrives while other work continues.
-//! Uses: `leave` (its `Terminal`), a thread that waits for standard input. Never: a wait of the program for a person.
+//! Uses: a thread that waits for standard input. Never: a wait of the program for a person.
 
 use std::io::IsTerminal;
 
 use tokio::sync::oneshot;
 
 use super::begin::entered_line;
-use super::leave::Terminal;
 
 /// The question that is open, if any.
 #[derive(Debug, Default)]
 pub struct Asking(Option<oneshot::Receiver<String>>);
 
 impl Asking {
-    /// The terminal of the question: present if standard input and standard error are one.
-    pub fn terminal() -> Terminal {
-        match std::io::stdin().is_terminal() && std::io::stderr().is_terminal() {
-            true => Terminal::Present,
-            false => Terminal::Absent,
-        }
+    /// Whether a person can be asked: standard input and standard error are a terminal.
+    pub fn is_possible() -> bool {
+        std::io::stdin().is_terminal() && std::io::stderr().is_terminal()
     }
 
     /// Waits for a line, in place of an earlier question. The caller prints the question.

@@ -65,21 +65,13 @@ pub enum Interrupt {
     Leave,
 }
 
-/// Whether a person can be asked.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Terminal {
-    /// Questions are shown and answered at a terminal.
-    Present,
-    /// No person can be asked.
-    Absent,
-}
-
 impl Interrupt {
-    /// The meaning of the n-th interrupt since the last answer, from 1.
-    pub fn of(count: u32, terminal: Terminal) -> Self {
-        match (count, terminal) {
-            (0 | 1, Terminal::Present) => Self::Ask,
-            (0 | 1, Terminal::Absent) => Self::Stop,
+    /// The meaning of the n-th interrupt since the last answer, from 1. `can_ask`: whether there is a terminal at which a
+    /// person can be asked.
+    pub fn of(count: u32, can_ask: bool) -> Self {
+        match (count, can_ask) {
+            (0 | 1, true) => Self::Ask,
+            (0 | 1, false) => Self::Stop,
             (2, _) => Self::Abort,
             _ => Self::Leave,
         }
@@ -107,11 +99,11 @@ mod tests {
 
     #[test]
     fn a_second_interrupt_aborts_with_and_without_a_terminal() {
-        for terminal in [Terminal::Present, Terminal::Absent] {
-            assert_eq!(Interrupt::of(2, terminal), Interrupt::Abort);
-            assert_eq!(Interrupt::of(3, terminal), Interrupt::Leave);
+        for can_ask in [true, false] {
+            assert_eq!(Interrupt::of(2, can_ask), Interrupt::Abort);
+            assert_eq!(Interrupt::of(3, can_ask), Interrupt::Leave);
         }
-        assert_eq!(Interrupt::of(1, Terminal::Present), Interrupt::Ask);
-        assert_eq!(Interrupt::of(1, Terminal::Absent), Interrupt::Stop);
+        assert_eq!(Interrupt::of(1, true), Interrupt::Ask);
+        assert_eq!(Interrupt::of(1, false), Interrupt::Stop);
     }
 }

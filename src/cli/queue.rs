@@ -16,7 +16,7 @@ use super::find::find_run;
 use super::output::{duration, grouped, say, say_json};
 use super::run::submission;
 use super::table::{Table, or_dash};
-use super::times::{StartTime, local};
+use super::times::{local, start_time};
 use super::{At, embed};
 use crate::api::{Page, QueueTime};
 use crate::store::RunRow;
@@ -42,8 +42,8 @@ pub enum QueueCommand {
         #[arg(value_name = "EXPERIMENT.toml")]
         experiment: PathBuf,
         /// Earliest start: 22:00 (the next one), 2026-11-24T22:00 (local time), or with an offset.
-        #[arg(long, value_name = "TIME")]
-        at: Option<StartTime>,
+        #[arg(long, value_name = "TIME", value_parser = start_time)]
+        at: Option<Timestamp>,
     },
     /// Replace the files and the start time of a queued run, which keeps its place.
     Edit {
@@ -53,8 +53,8 @@ pub enum QueueCommand {
         #[arg(value_name = "EXPERIMENT.toml")]
         experiment: PathBuf,
         /// Earliest start, as for `add`; without it any time.
-        #[arg(long, value_name = "TIME")]
-        at: Option<StartTime>,
+        #[arg(long, value_name = "TIME", value_parser = start_time)]
+        at: Option<Timestamp>,
     },
     /// Move a run to a position in the queue, from 1.
     Move {
@@ -117,9 +117,9 @@ async fn path_of(client: &Client, run: &str) -> CliResult<String> {
 }
 
 /// Body of a request that queues an experiment or edits a queued one.
-fn body(client: &Client, experiment: &Path, at: Option<StartTime>) -> CliResult<Value> {
+fn body(client: &Client, experiment: &Path, at: Option<Timestamp>) -> CliResult<Value> {
     let mut body = submission(client, &ExperimentFiles::read(experiment)?);
-    body["not_before"] = json!(at.map(|StartTime(at)| at));
+    body["not_before"] = json!(at);
     Ok(body)
 }
 

@@ -7,16 +7,12 @@ use jiff::civil::{DateTime, Time};
 use jiff::tz::TimeZone;
 use jiff::{SignedDuration, Timestamp, Unit, Zoned};
 
-/// An earliest start.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct StartTime(pub Timestamp);
-
-impl FromStr for StartTime {
-    type Err = String;
-
-    fn from_str(text: &str) -> Result<Self, String> {
-        start(text, &Zoned::now()).map(Self)
-    }
+/// Reads an earliest start.
+///
+/// # Errors
+/// The limit, if the text is no time.
+pub fn start_time(text: &str) -> Result<Timestamp, String> {
+    start(text, &Zoned::now())
 }
 
 /// Where a list of events begins.

@@ -310,7 +310,7 @@ async fn follow(
                 Asked::Terminate => Some(Choice::Detach),
                 Asked::Interrupt => {
                     interrupts += 1;
-                    match Interrupt::of(interrupts, Asking::terminal()) {
+                    match Interrupt::of(interrupts, Asking::is_possible()) {
                         Interrupt::Ask => {
                             screen.note(QUESTION_ON_TRAINING);
                             asking.open();

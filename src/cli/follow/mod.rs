@@ -225,7 +225,7 @@ impl Follower {
             Asked::Terminate => return Some(Left::Detached),
             Asked::Interrupt => self.interrupts += 1,
         }
-        match Interrupt::of(self.interrupts, Asking::terminal()) {
+        match Interrupt::of(self.interrupts, Asking::is_possible()) {
             Interrupt::Ask => self.ask(),
             Interrupt::Stop => return self.halt("stop", STOPPING).await,
             Interrupt::Abort => {
