@@ -150,8 +150,8 @@ impl VirtualRigArgs {
         let script = |named: PathBuf| cli::fault_script(&folder, &named);
         options.fault = options.fault.map(script).transpose()?;
         options.cache.get_or_insert_with(|| data.join("cache"));
-        let files = cli::virtual_rig_files(&folder, named)?;
-        Ok(RigArgs { rig: files.rig, gap: files.gap, sensor: files.sensor, options })
+        let [rig, gap, sensor] = cli::virtual_rig_files(&folder, named)?;
+        Ok(RigArgs { rig, gap, sensor, options })
     }
 }
 

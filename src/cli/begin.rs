@@ -44,7 +44,6 @@ pub struct ResumeArgs {
     /// A run that was stopped or interrupted: number, start of the id, or `last`; without it the paused run, or
     /// else the last one that can be resumed.
     pub run: Option<String>,
-    /// Confirmation of the motion.
     #[command(flatten)]
     pub motion: MotionArgs,
     #[command(flatten)]

@@ -10,7 +10,7 @@ use futures::FutureExt;
 
 use super::client::{Client, Found};
 use super::error::{CliError, CliResult};
-use super::files::{RigFiles, read_sensor_text};
+use super::files::{RigFiles, read_sensor};
 use super::key::key;
 use super::progress::shown_wait;
 use super::read_only::View;
@@ -102,7 +102,7 @@ async fn serves(client: &Client, at: &At) -> bool {
 /// # Errors
 /// `CliError` if the carried sensor file is invalid.
 fn options(data: PathBuf, rig: &RigFiles, purpose: Purpose) -> CliResult<ServeOptions> {
-    let (sensor, sensor_text) = read_sensor_text(None)?;
+    let (sensor, sensor_text) = read_sensor(None)?;
     Ok(ServeOptions {
         tls: None,
         require_key: false,
@@ -151,17 +151,6 @@ pub async fn with_purpose<T>(
         service.shutdown().await;
     }
     outcome.unwrap_or_else(|panic| resume_unwind(panic))
-}
-
-/// As [`with_purpose`], for work that computes.
-///
-/// # Errors
-/// As [`with_purpose`].
-pub async fn with_server<T>(
-    at: &At,
-    work: impl AsyncFnOnce(&Client) -> CliResult<T>,
-) -> CliResult<T> {
-    with_purpose(at, Purpose::Computes, work).await
 }
 
 /// Carries out a command with its options, as [`with_purpose`].

@@ -253,19 +253,11 @@ fn similar(path: &Path, error: &io::Error) -> String {
     did_you_mean(name, names.iter().map(String::as_str))
 }
 
-/// Reads a sensor file, or the carried one of that name; without either, returns the carried one.
+/// Reads a sensor file, or the carried one of that name; without either the default one. Also returns its text.
 ///
 /// # Errors
 /// `CliError::Problems` if the file cannot be read or is invalid.
-pub fn read_sensor(path: Option<&Path>) -> CliResult<Sensor> {
-    read_sensor_text(path).map(|(sensor, _)| sensor)
-}
-
-/// As [`read_sensor`], with the text.
-///
-/// # Errors
-/// `CliError::Problems` if the file cannot be read or is invalid.
-pub fn read_sensor_text(path: Option<&Path>) -> CliResult<(Sensor, String)> {
+pub fn read_sensor(path: Option<&Path>) -> CliResult<(Sensor, String)> {
     let (file, text) = match path {
         Some(path) => {
             let text = read_or_carried(FileKind::Sensor, path, SENSORS)?;
@@ -364,7 +356,7 @@ mod tests {
 
     #[test]
     fn a_sensor_is_named_as_its_default() {
-        let named = |name: &str| read_sensor_text(Some(Path::new(name))).map(|(_, text)| text);
+        let named = |name: &str| read_sensor(Some(Path::new(name))).map(|(_, text)| text);
         assert_eq!(named("ert-28").unwrap(), DEFAULT_SENSOR);
         let unknown = named("ert-29").unwrap_err().to_string();
         assert!(unknown.contains("did you mean `ert-28`?"), "{unknown}");

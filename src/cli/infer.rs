@@ -98,7 +98,7 @@ pub fn methods(of: impl Iterator<Item = Method>) -> impl TypedValueParser<Value 
 /// `CliError` if the file is invalid, or the service cannot be reached or refuses.
 pub async fn infer(args: InferArgs) -> CliResult<()> {
     let frames = frames(&args.file)?;
-    embed::with_server(&args.at, async |client| {
+    embed::with_purpose(&args.at, embed::Purpose::Computes, async |client| {
         let is_skin = |model: &String| model.parse::<CalibrationId>().is_ok();
         let client = match args.model.as_ref().is_some_and(is_skin) {
             true => client.patient(SKIN_READY_WITHIN),

@@ -66,8 +66,8 @@ pub enum Interrupt {
 }
 
 impl Interrupt {
-    /// The meaning of the n-th interrupt since the last answer, from 1. `can_ask`: whether there is a terminal at which a
-    /// person can be asked.
+    /// The meaning of the n-th interrupt since the last answer, from 1. `can_ask`: whether a person can be asked, at a
+    /// terminal.
     pub fn of(count: u32, can_ask: bool) -> Self {
         match (count, can_ask) {
             (0 | 1, true) => Self::Ask,

@@ -170,7 +170,6 @@ pub struct StatusArgs {
     /// Check that the service can store trials; if not, the exit code is 1.
     #[arg(long, conflicts_with_all = ["watch", "twins", "workers"])]
     pub ready: bool,
-    /// Service of the rig.
     #[command(flatten)]
     pub at: At,
 }
@@ -366,26 +365,15 @@ async fn answer(command: Command) -> CliResult<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// Files of a virtual rig.
-#[derive(Debug, Clone)]
-pub struct VirtualRigFiles {
-    /// Path of the rig file.
-    pub rig: PathBuf,
-    /// Path of the gap file.
-    pub gap: PathBuf,
-    /// Path of the sensor file.
-    pub sensor: PathBuf,
-}
-
 /// Carried files of a kind: name and text.
 type CarriedFiles = &'static [(&'static str, &'static str)];
 
-/// Returns the named files. A name without a file is that of a carried one; it, and the default of what is not named, are
-/// written to a folder.
+/// Returns the named files of a virtual rig: rig, gap and sensor. A name without a file is that of a carried one; it,
+/// and the default of what is not named, are written to a folder.
 ///
 /// # Errors
 /// `CliError::Problems` if a named file cannot be read, `File` if a carried one cannot be written.
-pub fn virtual_rig_files(folder: &Path, named: [Option<PathBuf>; 3]) -> CliResult<VirtualRigFiles> {
+pub fn virtual_rig_files(folder: &Path, named: [Option<PathBuf>; 3]) -> CliResult<[PathBuf; 3]> {
     let [rig, gap, sensor] = named;
     let file = |kind: FileKind,
                 carried: CarriedFiles,
@@ -395,11 +383,11 @@ pub fn virtual_rig_files(folder: &Path, named: [Option<PathBuf>; 3]) -> CliResul
         None => files::write_in(folder, name, default),
     };
     let gap_text = carried::text(GAPS, DEFAULT_GAP).unwrap_or_default();
-    Ok(VirtualRigFiles {
-        rig: file(FileKind::Rig, RIGS, rig, ["rig.toml", DEFAULT_RIG])?,
-        gap: file(FileKind::Gap, GAPS, gap, ["gap.toml", gap_text])?,
-        sensor: file(FileKind::Sensor, SENSORS, sensor, ["sensor.toml", DEFAULT_SENSOR])?,
-    })
+    Ok([
+        file(FileKind::Rig, RIGS, rig, ["rig.toml", DEFAULT_RIG])?,
+        file(FileKind::Gap, GAPS, gap, ["gap.toml", gap_text])?,
+        file(FileKind::Sensor, SENSORS, sensor, ["sensor.toml", DEFAULT_SENSOR])?,
+    ])
 }
 
 #[cfg(test)]
@@ -413,11 +401,11 @@ mod tests {
         let own = temporary.path().join("own.toml");
         std::fs::write(&own, DEFAULT_SENSOR).unwrap();
         let named = [None, Some("gap-b".into()), Some(own.clone())];
-        let files = virtual_rig_files(&folder, named).unwrap();
+        let [rig, gap, sensor] = virtual_rig_files(&folder, named).unwrap();
         let text = |path: &Path| std::fs::read_to_string(path).unwrap();
-        assert_eq!(text(&files.rig), DEFAULT_RIG);
-        assert_eq!(Some(&*text(&files.gap)), carried::text(GAPS, "gap-b"));
-        assert_eq!(files.sensor, own);
+        assert_eq!(text(&rig), DEFAULT_RIG);
+        assert_eq!(Some(&*text(&gap)), carried::text(GAPS, "gap-b"));
+        assert_eq!(sensor, own);
         let unknown = virtual_rig_files(&folder, [None, Some("gap-z".into()), None]);
         assert!(unknown.unwrap_err().to_string().contains("gap-a, gap-b"));
         let script = |name: &str| fault_script(&folder, Path::new(name));

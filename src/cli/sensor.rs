@@ -17,7 +17,6 @@ use crate::overlay::{self, Paper};
 pub struct SensorArgs {
     #[command(subcommand)]
     command: SensorCommand,
-    /// Data folder and output format.
     #[command(flatten)]
     at: At,
 }
@@ -64,7 +63,7 @@ fn pdf_file(name: &str) -> Result<PathBuf, String> {
 /// `CliError` if the sensor file is invalid or the PDF cannot be written.
 pub fn sensor(args: &SensorArgs) -> CliResult<()> {
     let SensorCommand::Overlay { paper, sensor, out } = &args.command;
-    let sensor = read_sensor(sensor.as_deref())?;
+    let (sensor, _) = read_sensor(sensor.as_deref())?;
     let paper = match paper {
         PaperName::A4 => Paper::A4,
         PaperName::Sheet => Paper::Sheet,

@@ -12,7 +12,7 @@ use super::browser;
 use super::data_or_default;
 use super::embed::TWIN_WORKERS;
 use super::error::{CliError, CliResult};
-use super::files::{RigFiles, parse_calibration, read_sensor_text};
+use super::files::{RigFiles, parse_calibration, read_sensor};
 use super::key::key;
 use super::output::{note, say};
 use super::progress::shown_wait;
@@ -31,7 +31,6 @@ pub struct ServeArgs {
     /// Folder of the database [env: PALPATE_DATA] [default: palpate-data].
     #[arg(long, value_name = "DIR")]
     pub data: Option<PathBuf>,
-    /// Bench of the service.
     #[command(flatten)]
     pub bench: BenchArgs,
     /// Open the page in the browser.
@@ -85,7 +84,7 @@ pub async fn serve(args: ServeArgs) -> CliResult<()> {
     if args.desk || !args.bench.is_virtual() {
         return serve_rig(&args, rig, None, &mut signals).await;
     }
-    let (_, sensor_text) = read_sensor_text(args.sensor.as_deref())?;
+    let (_, sensor_text) = read_sensor(args.sensor.as_deref())?;
     let data = data_or_default(args.data.clone());
     let mut bench = tokio::select! {
         bench = VirtualBench::switch_on(&args.bench, &data, &rig, &sensor_text) => bench?,
@@ -103,7 +102,7 @@ async fn serve_rig(
     bench: Option<&mut VirtualBench>,
     signals: &mut Signals,
 ) -> CliResult<()> {
-    let (sensor, sensor_text) = read_sensor_text(args.sensor.as_deref())?;
+    let (sensor, sensor_text) = read_sensor(args.sensor.as_deref())?;
     let tls = args.tls_cert.clone().zip(args.tls_key.clone());
     let tls = tls.map(|(certificate, key)| Tls { certificate, key });
     let options = ServeOptions {

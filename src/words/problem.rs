@@ -16,7 +16,7 @@ pub struct Place {
 }
 
 /// A value outside its limits, with the information that a person needs to correct it.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error, serde::Serialize)]
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error, serde::Serialize, serde::Deserialize)]
 pub struct Problem {
     /// File or request that contains the value.
     pub file: String,

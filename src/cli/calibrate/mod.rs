@@ -98,7 +98,7 @@ enum Law {
 
 /// Fits to a table of measurements.
 async fn of_table(law: Law, common: &Common) -> CliResult<()> {
-    let sensor = read_sensor(common.sensor.as_deref())?;
+    let (sensor, _) = read_sensor(common.sensor.as_deref())?;
     let earlier = common.from.as_deref().map(|path| read_calibration(path, &sensor)).transpose()?;
     let file = common.measurements.display().to_string();
     let text = read_input(&common.measurements)?;

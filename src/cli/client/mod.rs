@@ -11,8 +11,8 @@ use nix::unistd::{User, geteuid};
 use reqwest::multipart::{Form, Part};
 use reqwest::{Method, RequestBuilder, Response, header};
 use rustls::ClientConfig;
-use serde::Serialize;
 use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use tokio_tungstenite::tungstenite::client::IntoClientRequest;
 use tokio_tungstenite::tungstenite::{self, Message};
@@ -363,19 +363,9 @@ pub fn text_of(field: &Value) -> String {
 /// Converts a problem body to an error: values outside their limits are bad input.
 fn refusal(operation: &str, status: u16, body: &Value) -> CliError {
     tracing::debug!(operation, status, "the service refused a request");
-    let problems: Vec<Problem> = body["errors"]
-        .as_array()
-        .into_iter()
-        .flatten()
-        .map(|e| Problem {
-            file: text_of(&e["file"]),
-            key: text_of(&e["key"]),
-            value: text_of(&e["value"]),
-            limit: text_of(&e["limit"]),
-            // The service may have read another text: a recipe with changes.
-            at: None,
-        })
-        .collect();
+    // The service may have read another text, a recipe with changes: its places are not those of the file.
+    let problems = Vec::<Problem>::deserialize(&body["errors"]).unwrap_or_default();
+    let problems: Vec<Problem> = problems.into_iter().map(|problem| problem.at(None)).collect();
     if !problems.is_empty() {
         return CliError::Problems(problems);
     }

@@ -11,12 +11,13 @@ use super::OrderPlace;
 use super::kind::order_of;
 use crate::chunk::folder::OrderFolder;
 use crate::chunk::order::{ChunkRow, WorkOrder};
+use crate::cli::At;
 use crate::cli::download::DATASET_WAIT;
+use crate::cli::embed::{self, Purpose::Computes};
 use crate::cli::error::{CliError, CliResult};
 use crate::cli::evaluate::MethodRequest;
 use crate::cli::evaluate::lab::ExtentArgs;
 use crate::cli::progress::Counted;
-use crate::cli::{At, embed};
 use crate::evaluate::request::EvaluationReport;
 use crate::jobs::chunks::{NetScore, SCORES_FILE};
 use crate::jobs::readings::ReadingInputs;
@@ -50,7 +51,7 @@ impl ReadingsRequest {
         let at = self.place.at(json);
         let request = self.method.clone().request(&self.extent.budget());
         let path = format!("/api/v1/evaluations/inputs?chunk_rows={}", self.chunk_rows);
-        embed::with_server(&at, async |client| {
+        embed::with_purpose(&at, Computes, async |client| {
             let client = client.patient(DATASET_WAIT);
             let client = client.showing("preparing the skin and the frames");
             let inputs: ReadingInputs = client.post(&path, &request).await?;
@@ -85,7 +86,7 @@ pub async fn score(
         ("model", Part::text(order.definition.model.clone())),
         ("frames_sha256", Part::text(order.frames_sha256())),
     ];
-    let report: EvaluationReport = embed::with_server(at, async |client| {
+    let report: EvaluationReport = embed::with_purpose(at, Computes, async |client| {
         let client = client.patient(DATASET_WAIT);
         let client = client.showing("scoring the readings");
         client.upload("/api/v1/evaluations/readings", &file, texts).await

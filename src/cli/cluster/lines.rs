@@ -64,12 +64,12 @@ fn made(line: &str, makers: &mut Makers, stop: &StopRequest) -> Value {
             return json!({ "index": null, "error": words });
         }
     };
-    let made = OrderFolder::open(&folder).and_then(|folder| {
-        let at_work = folder.at_work()?;
-        Ok((folder, at_work))
-    });
-    let made = made.map_err(CliError::from);
-    match made.and_then(|(folder, _at_work)| makers.make(&folder, index, stop)) {
+    let mut make = || -> CliResult<_> {
+        let folder = OrderFolder::open(&folder)?;
+        let _at_work = folder.at_work()?;
+        makers.make(&folder, index, stop)
+    };
+    match make() {
         Ok(Some(made)) => {
             let row = made.row;
             json!({ "key": row.key, "index": row.index, "sha256": row.sha256, "bytes": row.bytes,

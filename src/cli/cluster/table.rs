@@ -66,7 +66,7 @@ impl TableRequest {
             TableName::Transfer => table_iii_nets(&budget, &self.dataset),
         };
         let compute = if self.gpu { FIRST_GPU } else { ONE_THREAD };
-        embed::with_server(&at, async |client| {
+        embed::with_purpose(&at, embed::Purpose::Computes, async |client| {
             let lab = ServiceLab::new(client.clone(), at.output(), None);
             let mut nets = Vec::new();
             for net in &table {

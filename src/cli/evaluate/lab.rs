@@ -118,7 +118,7 @@ pub async fn with_lab(
     args: LabArgs,
     study: impl AsyncFnOnce(&ServiceLab, &Budget) -> CliResult<Sheet>,
 ) -> CliResult<()> {
-    embed::with_server(&args.at, async |client| {
+    embed::with_purpose(&args.at, embed::Purpose::Computes, async |client| {
         let lab = ServiceLab::new(client.clone(), args.at.output(), args.trained.clone());
         // A gathered evaluation has its scores in the folder itself, a net in its own folder.
         if let Some(folder) = &args.trained

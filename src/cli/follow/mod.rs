@@ -259,7 +259,9 @@ impl Follower {
         match choice {
             Choice::Detach => return Some(Left::Detached),
             Choice::Continue => {}
-            Choice::Pause => self.act("pause", "pausing after this trial").await,
+            Choice::Pause => {
+                self.request(&self.client, "pause", "pausing after this trial").await;
+            }
             // It is refused if the answer comes late: a person may be at the rig.
             Choice::Resume => {
                 let client = self.client.acting_on(self.asked_on);
@@ -291,12 +293,8 @@ impl Follower {
                 return Some(Left::Open("its start was taken back"));
             }
         }
-        self.act(action, words).await;
-        None
-    }
-
-    async fn act(&self, action: &str, words: &str) {
         self.request(&self.client, action, words).await;
+        None
     }
 
     async fn request(&self, client: &Client, action: &str, words: &str) {

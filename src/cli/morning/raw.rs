@@ -6,7 +6,7 @@ use std::fmt::Display;
 use clap::ValueEnum;
 use serde_json::Value;
 
-use super::show_trial::{Frames, named, stored};
+use super::show_trial::{named, stored};
 use crate::cli::client::Client;
 use crate::cli::error::{CliError, CliResult};
 use crate::cli::find::find_run;
@@ -70,7 +70,7 @@ async fn frames(client: &Client, what: &str) -> CliResult<()> {
         let limit = "must be a trial for --raw frames, such as t812 or 3/81/4";
         return Err(CliError::argument("RUN|TRIAL", what, limit));
     };
-    let trial = stored(client, &name, Frames::Without).await?.trial_id.0;
+    let trial = stored(client, &name, false).await?.trial_id.0;
     let frames: Vec<Value> = client.all(&format!("/api/v1/trials/{trial}/frames?")).await?;
     print(&frames, format_args!("trial t{trial} has no raw frames"));
     Ok(())

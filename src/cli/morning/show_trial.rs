@@ -49,7 +49,7 @@ pub fn named(text: &str) -> Option<TrialName> {
 /// # Errors
 /// `CliError` if there is no such trial, or a request fails.
 pub async fn show(client: &Client, name: &TrialName, output: Output) -> CliResult<()> {
-    let trial = stored(client, name, Frames::With).await?;
+    let trial = stored(client, name, true).await?;
     if output == Output::Json {
         say_json(&trial);
         return Ok(());
@@ -68,20 +68,11 @@ pub async fn show(client: &Client, name: &TrialName, output: Output) -> CliResul
     Ok(())
 }
 
-/// Whether a trial is read with its mean frame and the simulated one.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Frames {
-    /// With both.
-    With,
-    /// Without them.
-    Without,
-}
-
-/// Returns the stored trial that a person named.
+/// Returns the stored trial that a person named. `voltages`: with its mean frame, and the simulated one.
 ///
 /// # Errors
 /// `CliError::NoSuch` if there is no such trial; others as [`Client::send`].
-pub async fn stored(client: &Client, name: &TrialName, frames: Frames) -> CliResult<TrialRow> {
+pub async fn stored(client: &Client, name: &TrialName, voltages: bool) -> CliResult<TrialRow> {
     let query = match name {
         TrialName::Id(id) => format!("/api/v1/trials?trial_id={id}"),
         TrialName::Key { run, configuration, depth_index } => {
@@ -90,7 +81,7 @@ pub async fn stored(client: &Client, name: &TrialName, frames: Frames) -> CliRes
             format!("/api/v1/runs/{run}/trials?{key}")
         }
     };
-    let path = format!("{query}&voltages={}&limit=1", frames == Frames::With);
+    let path = format!("{query}&voltages={voltages}&limit=1");
     let page: Page<TrialRow> = client.get(&path).await?;
     page.items.into_iter().next().ok_or_else(|| {
         let shown = match name {

@@ -15,11 +15,7 @@ use crate::cli::table::{Table, or_dash};
 use crate::store::TrialRow;
 
 /// What was asked for: at most one run, and conditions.
-#[derive(Debug, PartialEq, Eq)]
-struct Asked {
-    run: Option<String>,
-    conditions: Vec<(String, String)>,
-}
+type Asked = (Option<String>, Vec<(String, String)>);
 
 /// Runs `palpate trials`.
 ///
@@ -32,18 +28,18 @@ pub async fn trials(args: TrialsArgs) -> CliResult<()> {
 
 /// Separates the run from the conditions.
 fn asked(what: &[String]) -> CliResult<Asked> {
-    let mut asked = Asked { run: None, conditions: Vec::new() };
+    let (mut run, mut conditions) = (None, Vec::new());
     for text in what {
         match text.split_once('=') {
-            Some((key, value)) => asked.conditions.push((key.trim().into(), value.trim().into())),
-            None if asked.run.is_none() => asked.run = Some(text.clone()),
+            Some((key, value)) => conditions.push((key.trim().into(), value.trim().into())),
+            None if run.is_none() => run = Some(text.clone()),
             None => {
                 let limit = "must be a condition such as tips=4, or the only run";
                 return Err(CliError::argument("RUN", text, limit));
             }
         }
     }
-    Ok(asked)
+    Ok((run, conditions))
 }
 
 /// A query string of pairs, encoded.
@@ -52,15 +48,14 @@ pub fn encoded(pairs: &[(String, String)]) -> String {
     url.and_then(|url| url.query().map(str::to_owned)).unwrap_or_default()
 }
 
-async fn list(client: &Client, args: &TrialsArgs, asked: Asked) -> CliResult<()> {
-    let run = match &asked.run {
+async fn list(client: &Client, args: &TrialsArgs, (run, mut pairs): Asked) -> CliResult<()> {
+    let run = match &run {
         Some(run) => Some(find_run(client, run).await?),
         None => None,
     };
     let list = run
         .as_ref()
         .map_or("/api/v1/trials".into(), |run| format!("/api/v1/runs/{}/trials", run.uid));
-    let mut pairs = asked.conditions;
     let sort = if args.oldest { "trial_id" } else { "-trial_id" };
     pairs.push(("sort".into(), sort.into()));
     let path = format!("{list}?{}", encoded(&pairs));
@@ -125,8 +120,8 @@ mod tests {
         let words =
             |words: &[&str]| words.iter().map(|word| (*word).to_owned()).collect::<Vec<_>>();
         let read = asked(&words(&["tips=4", "3", "fvu__gt = 0.5"])).unwrap();
-        assert_eq!(read.run.as_deref(), Some("3"));
-        assert_eq!(read.conditions[1], ("fvu__gt".to_owned(), "0.5".to_owned()));
+        assert_eq!(read.0.as_deref(), Some("3"));
+        assert_eq!(read.1[1], ("fvu__gt".to_owned(), "0.5".to_owned()));
         let refused = asked(&words(&["3", "4"])).unwrap_err().to_string();
         assert!(refused.contains("RUN = 4"), "{refused}");
     }

@@ -11,7 +11,7 @@ use sim_core::forward::ForwardModel;
 
 use crate::cli::data_or_default;
 use crate::cli::error::{CliError, CliResult};
-use crate::cli::files::{read_calibration, read_sensor_text};
+use crate::cli::files::{read_calibration, read_sensor};
 use crate::cli::simulate::solved;
 use crate::simulate::random::draw::Draws;
 use crate::simulate::random::manifest::{Definition, Order, kernel};
@@ -73,7 +73,7 @@ impl RandomRequest {
     /// # Errors
     /// `CliError::Problems` with the options or files that are invalid, `Model` if the model is not available.
     pub fn solve(&self) -> CliResult<SolvedRequest> {
-        let (sensor, sensor_text) = read_sensor_text(self.sensor.as_deref())?;
+        let (sensor, sensor_text) = read_sensor(self.sensor.as_deref())?;
         let mut sensor = CalibratedSensor::from(sensor);
         let mut calibration_text = None;
         if let Some(path) = &self.calibration {

@@ -72,7 +72,7 @@ struct Answer<'a> {
 /// `CliError::Problems` if an option or a line is invalid; other variants if a file cannot be
 /// written.
 pub async fn trials(args: &TrialArgs) -> CliResult<()> {
-    let mut sensor = CalibratedSensor::from(read_sensor(args.sensor.as_deref())?);
+    let mut sensor = CalibratedSensor::from(read_sensor(args.sensor.as_deref())?.0);
     if let Some(path) = &args.calibration {
         sensor = read_calibration(path, &sensor)?.apply(&sensor)?;
     }
