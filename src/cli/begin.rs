@@ -15,7 +15,7 @@ use super::error::{CliError, CliResult};
 use super::find::find_run;
 use super::next::Next;
 use super::output::{self, grouped};
-use super::rig::{end_motion, until_moved, until_rig};
+use super::rig::{end_motion, until_rig};
 use super::signals::Signals;
 use super::view::{ArmedView, PreflightView, StatusView, TakenUpView};
 use crate::api::STATUS_AGE_MAX;
@@ -116,7 +116,7 @@ pub async fn bring_up(
     }
     if status.rig.state == RigState::Disconnected {
         client.act_on_rig("connect", json!({})).await?;
-        status = until_rig(client, "connecting the rig", CONNECTING, |s| {
+        status = until_rig(client, "connecting the rig", CONNECTING, false, |s| {
             s.rig.state != RigState::Disconnected
         })
         .await?;
@@ -131,8 +131,9 @@ pub async fn bring_up(
     if status.rig.state == RigState::Disarmed {
         *homes = true;
         client.act_on_rig("home", json!({})).await?;
-        status = until_moved(client, "homing", HOMING_WAIT, |s| s.rig.state != RigState::Disarmed)
-            .await?;
+        status =
+            until_rig(client, "homing", HOMING_WAIT, true, |s| s.rig.state != RigState::Disarmed)
+                .await?;
         *homes = false;
     }
     Ok(status)

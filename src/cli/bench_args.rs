@@ -46,8 +46,16 @@ pub struct BenchArgs {
 }
 
 impl BenchArgs {
+    /// The options that choose a bench and were stated, as problems with this limit; empty without one.
+    pub fn refused(&self, limit: &str) -> Vec<Problem> {
+        let problem = |(option, value): (&str, OsString)| {
+            Problem::new("command line", option, value.display(), limit)
+        };
+        self.stated().into_iter().map(problem).collect()
+    }
+
     /// The options that choose a bench and were stated, each with its value; empty without one.
-    pub fn stated(&self) -> Vec<(&'static str, OsString)> {
+    fn stated(&self) -> Vec<(&'static str, OsString)> {
         let path = |path: &Option<PathBuf>| path.clone().map(PathBuf::into_os_string);
         let all = [
             ("--rig", path(&self.rig)),
@@ -71,14 +79,10 @@ impl BenchArgs {
     /// # Errors
     /// `CliError::Problems` with the options.
     pub fn check(&self) -> CliResult<()> {
-        let stated = self.stated();
-        if !self.is_virtual() && stated.len() > 1 {
-            let limit = "must not be combined with --rig, except with --virtual";
-            let wrong = stated.iter().filter(|(option, _)| *option != "--rig");
-            let problems = wrong.map(|(option, value)| {
-                Problem::new("command line", option, value.display(), limit)
-            });
-            return Err(CliError::Problems(problems.collect()));
+        let mut wrong = self.refused("must not be combined with --rig, except with --virtual");
+        wrong.retain(|problem| problem.key != "--rig");
+        if !self.is_virtual() && !wrong.is_empty() {
+            return Err(wrong.into());
         }
         let speed = self.speed();
         if !(0.01..=2000.0).contains(&speed) {

@@ -54,7 +54,6 @@ mod tests {
     #[test]
     fn the_ending_names_a_format_of_rows() {
         assert_eq!(format(Path::new("a/frames.parquet")).unwrap(), Format::Parquet);
-        assert_eq!(format(Path::new("frames.arrow")).unwrap(), Format::Feather);
         for refused in ["frames.npz", "frames", "frames.xlsx"] {
             let words = format(Path::new(refused)).unwrap_err().to_string();
             assert!(words.contains(".csv") && words.contains(refused), "{words}");

@@ -175,17 +175,21 @@ async fn operate(client: &Client, command: RigCommand, output: Output) -> CliRes
         RigCommand::Check { .. } => client.status().await?,
         RigCommand::Connect => {
             client.act_on_rig("connect", json!({})).await?;
-            until_rig(client, "connecting", SOON, |s| s.rig.state != RigState::Disconnected).await?
+            until_rig(client, "connecting", SOON, false, |s| s.rig.state != RigState::Disconnected)
+                .await?
         }
         RigCommand::Disconnect => {
             client.act_on_rig("disconnect", json!({})).await?;
-            until_rig(client, "closing the wires", SOON, |s| s.rig.state == RigState::Disconnected)
-                .await?
+            until_rig(client, "closing the wires", SOON, false, |s| {
+                s.rig.state == RigState::Disconnected
+            })
+            .await?
         }
         RigCommand::Home => {
             let homes = async {
                 client.act_on_rig("home", json!({})).await?;
-                until_moved(client, "homing", HOMING_WAIT, |s| s.rig.state == RigState::Homed).await
+                until_rig(client, "homing", HOMING_WAIT, true, |s| s.rig.state == RigState::Homed)
+                    .await
             };
             moved(client, homes).await?
         }
@@ -196,7 +200,7 @@ async fn operate(client: &Client, command: RigCommand, output: Output) -> CliRes
             };
             let jogs = async {
                 client.act_on_rig("jog", more).await?;
-                until_moved(client, "the jog's arrival", JOGGING, there).await
+                until_rig(client, "the jog's arrival", JOGGING, true, there).await
             };
             moved(client, jogs).await?
         }
@@ -210,7 +214,7 @@ async fn operate(client: &Client, command: RigCommand, output: Output) -> CliRes
         }
         RigCommand::Reset => {
             client.act_on_rig("reset", json!({})).await?;
-            until_rig(client, "the reset", SOON, |s| s.rig.trip.is_none()).await?
+            until_rig(client, "the reset", SOON, false, |s| s.rig.trip.is_none()).await?
         }
     };
     match output {
@@ -249,32 +253,6 @@ pub async fn end_motion<T>(client: &Client, moves: bool, done: &CliResult<T>) {
     }
 }
 
-/// Polls the rig until `wanted` accepts its status.
-///
-/// # Errors
-/// `CliError::Tripped` after a trip; `Late` after the deadline; other variants if a request fails.
-pub async fn until_rig(
-    client: &Client,
-    what: &str,
-    deadline: Duration,
-    wanted: impl Fn(&StatusView) -> bool,
-) -> CliResult<StatusView> {
-    poll(client, what, deadline, None, wanted).await
-}
-
-/// As [`until_rig`], for a homing or a jog that was requested just before.
-///
-/// # Errors
-/// `CliError::MotionEnded` if it ended otherwise, such as by an abort of another person; else as [`until_rig`].
-pub async fn until_moved(
-    client: &Client,
-    what: &str,
-    deadline: Duration,
-    wanted: impl Fn(&StatusView) -> bool,
-) -> CliResult<StatusView> {
-    poll(client, what, deadline, Some(MotionSeen::default()), wanted).await
-}
-
 /// What polls have seen of a motion.
 #[derive(Debug, Default)]
 struct MotionSeen {
@@ -311,14 +289,20 @@ async fn aborted_by(client: &Client) -> Option<String> {
     Some(format!("{} aborted it{why}", last.who))
 }
 
-async fn poll(
+/// Polls the rig until `wanted` accepts its status. `moves`: whether a homing or a jog was requested just before.
+///
+/// # Errors
+/// `CliError::Tripped` after a trip; `Late` after the deadline; `MotionEnded` if a motion ended otherwise, such as by
+/// an abort of another person; other variants if a request fails.
+pub async fn until_rig(
     client: &Client,
     what: &str,
     deadline: Duration,
-    mut motion: Option<MotionSeen>,
+    moves: bool,
     wanted: impl Fn(&StatusView) -> bool,
 ) -> CliResult<StatusView> {
     let asked = Instant::now();
+    let mut motion = moves.then(MotionSeen::default);
     let _shown = Working::on(&format!("rig: {what}"));
     loop {
         let status = client.status().await?;

@@ -26,7 +26,6 @@ use super::{At, embed};
 use crate::digest::sha256_hex;
 use crate::ids::RunUid;
 use crate::new_file::make_folder;
-use crate::problem::Problem;
 use crate::rig::setup::RigSetup;
 use crate::state::StoredState;
 use crate::store::RunRow;
@@ -62,14 +61,9 @@ impl RunArgs {
                 "the service at {} has its own rig: stop it, or omit this option",
                 client.url()
             );
-            let stated = self.bench.stated().into_iter();
-            let problems: Vec<Problem> = stated
-                .map(|(option, value)| {
-                    Problem::new("command line", option, value.display(), limit.clone())
-                })
-                .collect();
+            let problems = self.bench.refused(&limit);
             if !problems.is_empty() {
-                return Err(CliError::Problems(problems));
+                return Err(problems.into());
             }
         }
         self.bench.check()

@@ -5,7 +5,6 @@
 use serde::Deserialize;
 
 use crate::api::History;
-use crate::ids::RunUid;
 use crate::schedule::visits::Visits;
 
 /// `GET /api/v1/runs/{run}/tour`: where the plan presses, in the planned order.
@@ -27,46 +26,6 @@ pub fn per_hour(course: &History, last: Option<usize>) -> Option<f64> {
     (over_s > 0.0).then(|| 3600.0 * f64::from(trials) / over_s)
 }
 
-/// `GET /api/v1/twins`: the simulated twins.
-#[derive(Debug, Clone, Default, PartialEq, Deserialize)]
-#[serde(default)]
-pub struct Twins {
-    /// The pool that makes them.
-    pub pool: Pool,
-    /// The newest runs.
-    pub runs: Vec<RunTwins>,
-}
-
-/// The pool that makes twins.
-#[derive(Debug, Clone, Default, PartialEq, Deserialize)]
-#[serde(default)]
-pub struct Pool {
-    /// Fit over the last trials.
-    pub rolling: Option<Rolling>,
-    /// Cause of the newest twin that failed; absent if none did.
-    pub last_error: Option<String>,
-}
-
-/// Fit of the twins over the last trials.
-#[derive(Debug, Clone, Default, PartialEq, Deserialize)]
-#[serde(default)]
-pub struct Rolling {
-    /// `ok`, `warn` or `suspend`.
-    pub level: String,
-    /// Median FVU, a share; absent before the first twin.
-    pub median_fvu: Option<f64>,
-}
-
-/// Twins of one run.
-#[derive(Debug, Clone, PartialEq, Deserialize)]
-pub struct RunTwins {
-    /// Uid of the run.
-    pub run: RunUid,
-    /// Number of trials without twin.
-    #[serde(default)]
-    pub pending: u64,
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -81,12 +40,10 @@ mod tests {
     }
 
     #[test]
-    fn a_tour_and_the_twins_are_read_with_and_without_their_other_fields() {
+    fn a_tour_is_read_with_its_other_fields() {
         let tour: Tour = serde_json::from_value(json!({ "scan_id": 3, "depths_mm": [0.0, 0.5],
             "steps": { "configuration": [7], "tips": [1], "contacts_mm": [[[10.0, 20.0]]] } }))
         .unwrap();
         assert_eq!(tour.steps.contacts_mm[0][0], [10.0, 20.0]);
-        let twins: Twins = serde_json::from_value(json!({ "pool": { "rolling": null } })).unwrap();
-        assert_eq!(twins, Twins::default());
     }
 }

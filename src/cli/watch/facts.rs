@@ -13,7 +13,8 @@ use crate::api::{Rating, RigRates, Suspender};
 use crate::campaign::shown::status::{Eta, RunStatus};
 use crate::cli::output::{bytes, counted, duration, grouped};
 use crate::cli::rig_facts::broken_channels;
-use crate::cli::view::StatusView;
+use crate::cli::table::count_or_dash;
+use crate::cli::view::{StatusView, rows};
 use crate::event::Importance::{self, Act, Look, Routine};
 use crate::record::Label;
 use crate::state::StoredState;
@@ -234,23 +235,21 @@ fn rate_words(rates: &RigRates) -> Vec<(&'static str, String, Importance)> {
 /// Backlog and fit of the twins.
 fn twins(night: &Night) -> Option<(String, Importance)> {
     let twins = night.twins.as_ref()?;
-    let mut parts = Vec::new();
-    let run = night.run.or(twins.runs.first().map(|run| run.run));
-    if let Some(of_run) = twins.runs.iter().find(|of_run| Some(of_run.run) == run) {
-        parts.push(format!("{} pending", grouped(of_run.pending)));
-    }
-    let mut level = Routine;
-    if let Some(rolling) = &twins.pool.rolling {
-        parts.extend(rolling.median_fvu.map(|fvu| format!("rolling FVU {fvu:.3}")));
-        level = match rolling.level.as_str() {
-            "warn" => Look,
-            "suspend" => Act,
-            _ => Routine,
-        };
-    }
-    if let Some(error) = &twins.pool.last_error {
-        (parts, level) = ([parts, vec![one_line(error)]].concat(), level.max(Look));
-    }
+    let (pool, runs) = (&twins["pool"], rows(twins, "runs"));
+    let of_run = match night.run {
+        Some(run) => runs.iter().find(|of_run| of_run["run"] == run.to_string()),
+        None => runs.first(),
+    };
+    let pending = of_run.map(|of_run| format!("{} pending", count_or_dash(&of_run["pending"])));
+    let fvu = pool["rolling"]["median_fvu"].as_f64().map(|fvu| format!("rolling FVU {fvu:.3}"));
+    let error = pool["last_error"].as_str().map(one_line);
+    let level = match pool["rolling"]["level"].as_str() {
+        Some("suspend") => Act,
+        Some("warn") => Look,
+        _ if error.is_some() => Look,
+        _ => Routine,
+    };
+    let parts: Vec<String> = [pending, fvu, error].into_iter().flatten().collect();
     (!parts.is_empty()).then(|| (parts.join(", "), level))
 }
 

@@ -4,8 +4,9 @@
 use std::collections::VecDeque;
 
 use jiff::{SignedDuration, Timestamp};
+use serde_json::Value;
 
-use super::answers::{Tour, Twins};
+use super::answers::Tour;
 use crate::api::{History, RigRates, RunProgress, SensorOut};
 use crate::campaign::shown::status::RunStatus;
 use crate::cli::view::{EventView, StatusView, need_words};
@@ -37,8 +38,8 @@ pub enum News {
     Course(RunUid, History),
     /// What stream and wires did in the last minute.
     Rates(RigRates),
-    /// The simulated twins.
-    Twins(Twins),
+    /// The simulated twins, as the service answers.
+    Twins(Value),
     /// New events, in their order.
     Events(Vec<EventView>),
     /// Outcome of a request of the person at the screen.
@@ -70,8 +71,8 @@ pub struct Night {
     pub course: Option<History>,
     /// What stream and wires did in the last minute.
     pub rates: Option<RigRates>,
-    /// The simulated twins.
-    pub twins: Option<Twins>,
+    /// The simulated twins, as the service answers.
+    pub twins: Option<Value>,
     /// The last events, the newest last.
     pub events: VecDeque<Told>,
     /// Outcome of the last request of the person at the screen.

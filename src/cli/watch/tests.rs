@@ -88,7 +88,7 @@ fn night() -> Night {
     night.take(News::Progress(run(), progress), start());
     let twins = json!({ "pool": { "rolling": { "level": "ok", "median_fvu": 0.0942 } },
         "runs": [{ "run": RUN, "trials": 12481, "pending": 11 }] });
-    night.take(News::Twins(serde_json::from_value(twins).unwrap()), start());
+    night.take(News::Twins(twins), start());
     let event = |seq: i64, kind: &str, data: Value| {
         json!({ "kind": kind, "seq": seq, "run": RUN,
         "at": "2026-03-01T17:59:01Z", "data": data })
@@ -218,6 +218,15 @@ fn pace_prediction_rates_and_stuck_channels_are_shown() {
     ] {
         assert!(shown.contains(words), "{words}:\n{shown}");
     }
+}
+
+#[test]
+fn twins_without_a_fit_show_their_backlog() {
+    let mut night = night();
+    let twins = json!({ "pool": { "rolling": null }, "runs": [{ "run": RUN, "pending": 7 }] });
+    night.take(News::Twins(twins), start());
+    let shown = text(&drawn(&night, &after(0), (120, 40), COLOUR));
+    assert!(shown.contains("7 pending") && !shown.contains("rolling FVU"), "{shown}");
 }
 
 #[test]
