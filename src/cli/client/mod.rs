@@ -74,7 +74,9 @@ impl Client {
     /// `CliError::Http` if the HTTP client cannot be created; `Problems` if the URL is none, or if the
     /// certificate cannot be used; `Tls` likewise.
     pub fn new(url: &str, ca: Option<&Certificates>, key: Option<String>) -> CliResult<Self> {
-        check_url(url)?;
+        if let Some(limit) = url_limit(url) {
+            return Err(CliError::argument("--url or PALPATE_URL", url, limit));
+        }
         let tls = trust::tls(url, ca)?;
         let http = trust::http(tls.clone())?;
         let url = url.trim_end_matches('/').into();
@@ -340,12 +342,6 @@ impl Client {
     }
 }
 
-/// Rejects what is not the URL of a service.
-fn check_url(url: &str) -> CliResult<()> {
-    let limit = url_limit(url).map(|limit| CliError::argument("--url or PALPATE_URL", url, limit));
-    limit.map_or(Ok(()), Err)
-}
-
 /// What the URL of a service must be, if this is none.
 pub fn url_limit(url: &str) -> Option<String> {
     match reqwest::Url::parse(url) {
@@ -399,14 +395,13 @@ mod tests {
 
     #[test]
     fn a_url_has_a_scheme_and_a_host() {
-        let words = |url: &str| check_url(url).err().map(|error| error.to_string());
         for url in ["http://127.0.0.1:8080", "https://rig.example.org/lab", "http://[::1]:1"] {
-            assert_eq!(words(url), None);
+            assert_eq!(url_limit(url), None);
         }
-        let without = words("127.0.0.1:8399").unwrap();
+        let without = url_limit("127.0.0.1:8399").unwrap();
         assert!(without.contains("as http://127.0.0.1:8399"), "{without}");
-        assert!(words("rig:8399").unwrap().contains("http://rig:8399"));
-        assert!(words("ftp://rig").unwrap().contains("must be like"));
-        assert!(words("http://").is_some());
+        assert!(url_limit("rig:8399").unwrap().contains("http://rig:8399"));
+        assert!(url_limit("ftp://rig").unwrap().contains("must be like"));
+        assert!(url_limit("http://").is_some());
     }
 }
