@@ -6,7 +6,6 @@
 
 use std::time::Duration;
 
-use futures::future::join_all;
 use tokio::time::Instant;
 
 use crate::campaign::bench::estop::StopSwitch;
@@ -199,37 +198,6 @@ impl Stage {
     /// Waits for one pause between polls.
     pub async fn poll_pause(&self) {
         self.clock.sleep(POLL_S.max(POLL_WALL_S * self.clock.rate())).await;
-    }
-
-    /// Reads the positions of all four axes.
-    ///
-    /// # Errors
-    /// Halts if a device does not reply.
-    pub async fn pose(&self) -> Result<Pose, Halt> {
-        let b = &self.bench;
-        let read = join_all([&b.x, &b.y, &b.z, &b.radial].map(|axis| axis.status())).await;
-        let mut at = [0.0; 4];
-        for (slot, status) in at.iter_mut().zip(read) {
-            *slot = status?.position;
-        }
-        let radius_mm = self.config.slot.radius_mm(at[3]);
-        Ok(Pose { x_mm: at[0], y_mm: at[1], z_mm: at[2], radius_mm })
-    }
-
-    /// Reads the positions of all axes and compares them with their targets. If an axis is off its
-    /// target, all are read again: Modbus TCP has no checksum, and a flipped bit does not recur.
-    ///
-    /// # Errors
-    /// Trips if an axis is still off its target, see [`interlock::off_target`].
-    pub async fn reached(&self, target: &Pose) -> Result<Pose, Halt> {
-        let mut pose = self.pose().await?;
-        if interlock::off_target(&self.config, &pose, target).is_some() {
-            pose = self.pose().await?;
-        }
-        match interlock::off_target(&self.config, &pose, target) {
-            Some(words) => Err(Halt::trip(TripKind::Position, words)),
-            None => Ok(pose),
-        }
     }
 
     /// Reads the cells while z is at rest, and checks every limit.
