@@ -30,6 +30,8 @@ use crate::rig::traits::Frame;
 const REQUESTS_WAITING: usize = 64;
 /// Longest wait until a request is accepted.
 const TAKE_UP: Duration = Duration::from_secs(10);
+/// Longest time from a request to the answer of work that changes what is stored, wall: its caller still waits.
+pub const ANSWERED_WITHIN: Duration = Duration::from_secs(9);
 
 /// A request to the campaign.
 #[derive(Debug, Clone)]

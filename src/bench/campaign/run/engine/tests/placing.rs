@@ -2,14 +2,16 @@
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Duration;
 
 use async_trait::async_trait;
 use tokio::sync::broadcast;
 use tokio::time::Instant;
 
-use super::super::{Attempts, Next};
+use super::super::{Attempts, Engine, Next};
 use super::{begin, engine, job, suspensions, with_handle};
 use crate::campaign::run::halt::Halt;
+use crate::campaign::run::job::Job;
 use crate::campaign::run::run_state::{PausedWhy, RunEvent};
 use crate::campaign::shown::command::{Refusal, Request};
 use crate::campaign::shown::placement::Confirmation;
@@ -67,17 +69,22 @@ async fn nothing_is_stored_of_weights_under_which_the_computer_was_suspended() {
     assert!(matches!(measured, Err(Halt::Trip(_))), "{measured:?}");
 }
 
+/// The run waits for its second placement.
+fn await_placement(engine: &mut Engine, job: &Job) {
+    begin(engine, job);
+    engine.control.run_event(RunEvent::Need(PausedWhy::ManualTrial)).unwrap();
+    engine.control.run_event(RunEvent::Raised).unwrap();
+    let wanted = Wanted::Placement { trial: 1, contacts: Vec::new() };
+    engine.control.show_run(|run| run.wanted = Some(wanted));
+}
+
 #[tokio::test]
 async fn a_repeat_that_the_store_does_not_take_withdraws_nothing_later() {
     let (job, (axes, mut engine, handle)) = (job(), with_handle());
     let (journal, diary) = (axes.journal.clone(), engine.control.diary.clone());
     journal.stored.lock().insert(TrialKey { configuration: 0, depth_index: 0 });
     journal.discards_fail.store(true, Ordering::SeqCst);
-    begin(&mut engine, &job);
-    engine.control.run_event(RunEvent::Need(PausedWhy::ManualTrial)).unwrap();
-    engine.control.run_event(RunEvent::Raised).unwrap();
-    let wanted = Wanted::Placement { trial: 1, contacts: Vec::new() };
-    engine.control.show_run(|run| run.wanted = Some(wanted));
+    await_placement(&mut engine, &job);
     let repeats = async move {
         let repeat = || Request::Repeat { trial: Some(0), why: "a weight slipped".into() };
         let refused = handle.ask(repeat()).await;
@@ -92,4 +99,22 @@ async fn a_repeat_that_the_store_does_not_take_withdraws_nothing_later() {
     let mut attempts = Attempts::default();
     let ((), next) = tokio::join!(repeats, engine.wait(&job, &mut attempts, None));
     assert!(matches!(next, Next::Again));
+}
+
+#[tokio::test]
+async fn a_repeat_that_may_still_withdraw_a_trial_is_answered_while_its_caller_waits() {
+    let (job, (axes, mut engine, handle)) = (job(), with_handle());
+    axes.journal.stored.lock().insert(TrialKey { configuration: 0, depth_index: 0 });
+    *axes.journal.discards_take.lock() = Duration::from_secs(60);
+    await_placement(&mut engine, &job);
+    let repeat = Request::Repeat { trial: Some(0), why: "a weight slipped".into() };
+    // Most of the time has passed.
+    let decided_at = (jiff::Timestamp::now(), Instant::now() - Duration::from_secs(8));
+    // Without a handle there is no request to wait for.
+    let repeats = async move { handle.ask_since(repeat, 0, decided_at).await };
+    let mut attempts = Attempts::default();
+    let (refused, next) = tokio::join!(repeats, engine.wait(&job, &mut attempts, None));
+    let Err(Refusal::State(words)) = &refused else { panic!("{refused:?}") };
+    assert!(words.starts_with("the store does not answer: "), "{words}");
+    assert!(matches!(next, Next::Leave));
 }
