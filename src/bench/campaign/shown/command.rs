@@ -122,6 +122,29 @@ impl Request {
         }
     }
 
+    /// Its name, for refusals.
+    pub fn name(&self) -> &'static str {
+        match self {
+            Self::Connect => "connect",
+            Self::Disconnect => "disconnect",
+            Self::Home => "home",
+            Self::Jog { .. } => "jog",
+            Self::Tare => "tare",
+            Self::Reset => "reset",
+            Self::Mounted { .. } => "tips",
+            Self::Start(_) => "start",
+            Self::PauseAtCheckpoint | Self::PauseNow => "pause",
+            Self::Suspend(..) => "suspend",
+            Self::Resume => "resume",
+            Self::Stop => "stop",
+            Self::Abort | Self::AbortMotion => "abort",
+            Self::Confirm { .. } => "confirm",
+            Self::Repeat { .. } => "repeat",
+            Self::CameLate => "a late pause or abort",
+            Self::Shutdown => "shutdown",
+        }
+    }
+
     /// Why the active run refuses it at this status, as text; `None` if it does not, and for all that is not
     /// requested of an active run.
     pub fn refused_by_run(&self, status: &Status) -> Option<String> {

@@ -9,7 +9,6 @@ use super::skin::next_window;
 use super::{Answer, Attempts, Engine, IDLE_TICK, Last, Next, Owed, Waited};
 use crate::campaign::bench::rig_state::RigState;
 use crate::campaign::bench::stage::Height;
-use crate::campaign::run::control::name;
 use crate::campaign::run::job::Job;
 use crate::campaign::run::run_state::{PausedWhy, RunAction, RunEvent, RunState};
 use crate::campaign::shown::command::{ANSWERED_WITHIN, Envelope, Refusal, Request};
@@ -241,7 +240,7 @@ impl Engine {
                 None
             }
             Request::Start(_) => {
-                let (run, start) = (self.control.run(), name(&request));
+                let (run, start) = (self.control.run(), request.name());
                 let (state, next) = (run.as_str(), run.allowed());
                 let words = format!("{start} is not possible while the run is {state}: {next}");
                 let _ = answer.send(Err(Refusal::State(words)));
