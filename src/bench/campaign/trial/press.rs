@@ -110,8 +110,6 @@ impl Pressing<'_> {
         let started_at = stage.clock.timestamp();
         let target = stage.pose_over(&c.stand, self.z_mm(stage, depth_mm)?);
         let (settled, taken, reached) = self.hold(stage, control, &target).await?;
-        // Nothing is stored of a load that was held while the computer was suspended.
-        control.attend()?;
         let held = Held { z_mm: reached.z_mm, forces_n: stage.forces_n(&taken.volts) };
         let limits = &stage.config.limits;
         if let Some(before) = before
@@ -219,6 +217,8 @@ impl Pressing<'_> {
         control.phase(Phase::Measure);
         let taken = measure::take(stage, control, &self.plan.measure).await?;
         let reached = stage.require_reached(control, target).await?;
+        // Nothing is stored of a load that was held while the computer was suspended.
+        control.attend()?;
         let forces = stage.forces_n(&taken.volts);
         let tips = usize::from(stage.tips);
         control.show(|status| {

@@ -1,73 +1,17 @@
-//! A placement of weights: what is stored, and what is withdrawn when it is repeated.
+//! A placement of weights: what is withdrawn when it is repeated.
 
-use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::Ordering;
 use std::time::Duration;
 
-use async_trait::async_trait;
-use tokio::sync::broadcast;
 use tokio::time::Instant;
 
 use super::super::{Attempts, Engine, Next};
-use super::{begin, engine, job, suspensions, with_handle};
-use crate::campaign::run::halt::Halt;
+use super::{begin, job, with_handle};
 use crate::campaign::run::job::Job;
 use crate::campaign::run::run_state::{PausedWhy, RunEvent};
 use crate::campaign::shown::command::{Refusal, Request};
-use crate::campaign::shown::placement::Confirmation;
 use crate::campaign::shown::status::Wanted;
-use crate::campaign::trial::manual::{self, Confirmed};
-use crate::clock::Clock;
 use crate::ids::TrialKey;
-use crate::rig::error::RigError;
-use crate::rig::traits::{Frame, SkinReader, StreamCounters};
-use crate::schedule::experiment::Measure;
-use crate::schedule::manual::PlannedPlacement;
-
-/// A skin whose computer is suspended as the frame of a trial is taken.
-struct Suspending {
-    skin: Arc<dyn SkinReader>,
-    suspended_s: Arc<AtomicU64>,
-}
-
-#[async_trait]
-impl SkinReader for Suspending {
-    fn latest(&self) -> Option<Arc<Frame>> {
-        self.skin.latest()
-    }
-
-    fn follow(&self) -> broadcast::Receiver<Arc<Frame>> {
-        self.skin.follow()
-    }
-
-    fn counters(&self) -> StreamCounters {
-        self.skin.counters()
-    }
-
-    async fn take(&self, not_before: Instant, count: usize) -> Result<Vec<Arc<Frame>>, RigError> {
-        // Not in the windows in which it settles.
-        if count == 1 {
-            self.suspended_s.store(3600, Ordering::SeqCst);
-        }
-        self.skin.take(not_before, count).await
-    }
-}
-
-#[tokio::test]
-async fn nothing_is_stored_of_weights_under_which_the_computer_was_suspended() {
-    let (job, (_, mut engine)) = (job(), engine());
-    begin(&mut engine, &job);
-    let suspended_s = suspensions(&mut engine);
-    let skin = engine.connection.as_ref().map(|open| open.skin.clone()).expect("open wires");
-    let skin: Arc<dyn SkinReader> = Arc::new(Suspending { skin, suspended_s });
-    let measure = Measure { settle_ms: 0.0, ..Measure::default() };
-    let placement = PlannedPlacement { index: 0, contacts: Vec::new() };
-    let confirmation = Confirmation::of("ada".into());
-    let confirmed = Confirmed { run: job.run, confirmation, measure: &measure, attempt: 1 };
-    let (clock, control) = (Clock::new(1.0), &mut engine.control);
-    let measured = manual::measure(&skin, &clock, control, confirmed, &placement).await;
-    assert!(matches!(measured, Err(Halt::Trip(_))), "{measured:?}");
-}
 
 /// The run waits for its second placement.
 fn await_placement(engine: &mut Engine, job: &Job) {

@@ -6,7 +6,7 @@ use std::time::Duration;
 use parking_lot::Mutex;
 
 use super::super::Engine;
-use super::{begin, engine, job, parts, with_handle};
+use super::{begin, engine, job, parts, surface, with_handle};
 use crate::campaign::bench::descent::Descent;
 use crate::campaign::bench::interlock::TripKind;
 use crate::campaign::bench::stage::{AxisName, Stage};
@@ -17,7 +17,6 @@ use crate::campaign::run::control::Control;
 use crate::campaign::run::job::Job;
 use crate::campaign::shown::status::{Phase, Status};
 use crate::campaign::trial::press::Pressing;
-use crate::record::TouchOffRecord;
 use crate::rig::traits::AxisStatus;
 use crate::schedule::configuration::Stand;
 use crate::schedule::plan::Step;
@@ -267,13 +266,7 @@ async fn disturbed(during: Phase, change: fn(&mut AxisStatus)) -> (TripKind, Pha
     let (stage, control) = patient(&mut engine);
     stage.config.limits.frame_age_ms = 60_000;
     stage.tips = 1;
-    stage.surface = Some(TouchOffRecord {
-        tips: 1,
-        surface_z_mm: 60.0,
-        tip_offset_mm: vec![(1, 0.0)],
-        touches: Vec::new(),
-        at: jiff::Timestamp::UNIX_EPOCH,
-    });
+    stage.surface = Some(surface());
     let configuration = job.plan.steps.iter().find_map(|step| match step {
         Step::Configuration(c) => Some(c),
         _ => None,
