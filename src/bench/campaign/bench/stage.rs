@@ -87,6 +87,8 @@ pub struct Stage {
     pub(super) last_sample: Option<LastSample>,
     /// Time since which z has been held at rest under watch.
     pub(super) held_since: Option<Instant>,
+    /// Radius at which the last approach from below ended, mm; none once the slots have moved since.
+    pub(super) approached_mm: Option<f64>,
 }
 
 /// When and where the cells were last read in a watched motion or hold.
@@ -140,6 +142,7 @@ impl Stage {
             samples: Samples::default(),
             last_sample: None,
             held_since: None,
+            approached_mm: None,
         }
     }
 
