@@ -1,16 +1,19 @@
-//! A placement of weights: what is withdrawn when it is repeated.
+//! Placements of weights: what is withdrawn when one is repeated, and when the empty skin is tared.
 
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 
+use tokio::sync::oneshot;
 use tokio::time::Instant;
 
 use super::super::{Attempts, Engine, Next};
-use super::{begin, job, with_handle};
+use super::{abandoned, begin, engine, job, with_handle};
 use crate::campaign::run::job::Job;
 use crate::campaign::run::run_state::{PausedWhy, RunEvent};
 use crate::campaign::shown::command::{Refusal, Request};
 use crate::campaign::shown::status::Wanted;
+use crate::campaign::trial::untouched::Seen;
+use crate::clock::Clock;
 use crate::ids::TrialKey;
 
 /// The run waits for its second placement.
@@ -61,4 +64,21 @@ async fn a_repeat_that_may_still_withdraw_a_trial_is_answered_while_its_caller_w
     let Err(Refusal::State(words)) = &refused else { panic!("{refused:?}") };
     assert!(words.starts_with("the store does not answer: "), "{words}");
     assert!(matches!(next, Next::Leave));
+}
+
+#[tokio::test]
+async fn the_skin_is_not_tared_once_its_caller_was_told_that_it_failed() {
+    let (_, mut engine) = engine();
+    let skin = engine.connection.as_ref().map(|open| open.skin.clone()).expect("open wires");
+    let seen = Seen::next(&skin, &Clock::new(1.0)).await.unwrap();
+    let (answer, answered) = oneshot::channel();
+    for (answer, is_tared) in [(abandoned(), false), (answer, true)] {
+        engine.tare_skin(answer);
+        // The second window shows that the skin is at rest.
+        for _ in 0..2 {
+            engine.saw(Ok(seen.clone()));
+        }
+        assert_eq!(engine.control.inbox.untouched.borrow().is_some(), is_tared);
+    }
+    assert_eq!(answered.await, Ok(Ok(())));
 }
