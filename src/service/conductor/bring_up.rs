@@ -1,5 +1,5 @@
 //! Brings the rig up for a run of the earlier process: opens the wires and homes, until a person comes to the rig.
-//! Uses: `conductor::take_over` (since when none came), `campaign` (its handle). Never: motion but by the campaign, HTTP.
+//! Uses: `conductor::take_over` (since when none came), `campaign` (its handle). Never: motion except through it, HTTP.
 
 use std::time::Duration;
 

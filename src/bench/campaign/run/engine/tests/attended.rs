@@ -1,5 +1,5 @@
-//! What ends an automatic resume before and while the rig homes for it: a person who operates the rig or takes the lock;
-//! and a pause that comes too late.
+//! What ends an automatic resume before and while the rig homes for it: a person who operates the rig or takes the
+//! lock; and a pause that comes too late.
 
 use std::sync::atomic::Ordering;
 use std::time::Duration;

@@ -1,5 +1,5 @@
-//! The frame of a trial: nothing is stored of it if the computer was suspended as it was taken, and no request waits for
-//! it.
+//! The frame of a trial: nothing is stored of it if the computer was suspended as it was taken, and no request waits
+//! for it.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};

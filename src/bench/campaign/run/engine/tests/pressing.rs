@@ -255,8 +255,8 @@ async fn a_motion_has_the_time_that_it_takes_at_the_speed_to_which_its_drive_rou
     }
 }
 
-/// A press of a configuration, in which what x reports changes in this phase: the kind of the trip, the phase in which it
-/// trips, and the motions of z that were started.
+/// A press of a configuration, in which what x reports changes in this phase: the kind of the trip, the phase in which
+/// it trips, and the motions of z that were started.
 async fn disturbed(during: Phase, change: fn(&mut AxisStatus)) -> (TripKind, Phase, u64) {
     let (mut job, (axes, mut engine, handle)) = (job(), with_handle());
     job.plan.measure.settle_ms = 0.0;
