@@ -7,7 +7,7 @@ use sqlx::sqlite::SqliteConnection;
 use utoipa::ToSchema;
 
 use super::plans;
-use crate::core::columns::{Columns, time_text};
+use crate::core::columns::{Columns, row, time_text};
 use crate::core::facts::{Label, RunKind};
 use crate::core::{During, StoreError, StoreResult};
 use crate::digest::sha256_hex;
@@ -152,41 +152,17 @@ impl RunRow {
     pub(crate) fn read(c: &Columns<'_>) -> StoreResult<Self> {
         let (kind, state) = (c.word("kind")?, c.word("state")?);
         let exit_status = c.word_or_none("exit_status")?;
-        Ok(Self {
-            uid: c.word("uid")?,
-            scan_id: c.get("scan_id")?,
-            experiment: c.get("experiment")?,
-            kind,
-            definition: c.get("definition")?,
-            definition_sha256: c.get("definition_sha256")?,
-            seed: c.whole_or_none("seed")?,
-            rig: c.get("rig")?,
-            rig_sha256: c.get("rig_sha256")?,
-            sensor: c.get("sensor")?,
-            sensor_sha256: c.get("sensor_sha256")?,
-            calibration_id: c.word_or_none("calibration_id")?,
-            label: c.word("label")?,
-            version: c.get("version")?,
-            git_commit: c.get("git_commit")?,
-            deadband_n: c.get("deadband_n")?,
-            tip_diameter_mm: c.get("tip_diameter_mm")?,
-            trials_planned: c.whole("trials_planned")?,
-            auto_resume: c.get("auto_resume")?,
-            not_before: c.time_or_none("not_before")?,
-            plan_sha256: c.get("plan_sha256")?,
-            state,
-            requested_state: c.word_or_none("requested_state")?,
-            paused_why: c.word_or_none("paused_why")?,
-            exit_status,
-            reason: c.get("reason")?,
-            queue_position: c.whole_or_none("queue_position")?,
-            waiting_since: c.time_or_none("waiting_since")?,
-            is_resumable: is_resumable(kind, state, exit_status),
-            created_at: c.time("created_at")?,
-            started_at: c.time_or_none("started_at")?,
-            ended_at: c.time_or_none("ended_at")?,
-            submitted_by: c.get("submitted_by")?,
-        })
+        let is_resumable = is_resumable(kind, state, exit_status);
+        Ok(row!(c, Self { kind, state, exit_status, is_resumable },
+            get: scan_id, experiment, definition, definition_sha256, rig, rig_sha256, sensor,
+                sensor_sha256, version, git_commit, deadband_n, tip_diameter_mm, auto_resume,
+                plan_sha256, reason, submitted_by;
+            whole: trials_planned;
+            whole_or_none: seed, queue_position;
+            word: uid, label;
+            word_or_none: calibration_id, requested_state, paused_why;
+            time: created_at;
+            time_or_none: not_before, waiting_since, started_at, ended_at))
     }
 }
 

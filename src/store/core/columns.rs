@@ -247,6 +247,15 @@ impl<'r> Columns<'r> {
     }
 }
 
+/// Returns a struct whose fields are the columns of their names: `row!(c, Name { stated }, method: fields; ..)`. The
+/// method of [`Columns`] before a colon reads the fields after it; all others are stated in the braces.
+macro_rules! row {
+    ($c:ident, $row:ident { $($stated:tt)* }, $($read:ident: $($field:ident),+);+) => {
+        $row { $($($field: $c.$read(stringify!($field))?,)+)+ $($stated)* }
+    };
+}
+pub(crate) use row;
+
 /// Returns the value of an enum from its serde name; `None` for another word.
 pub(crate) fn word<T: serde::de::DeserializeOwned>(text: &str) -> Option<T> {
     let word: StrDeserializer<'_, serde::de::value::Error> = text.into_deserializer();

@@ -9,7 +9,7 @@ use serde_json::Value;
 use strum::VariantArray;
 use utoipa::ToSchema;
 
-use crate::core::columns::Columns;
+use crate::core::columns::{Columns, row};
 use crate::core::{Store, StoreResult};
 use crate::ids::{DatasetId, ModelId, TaskId};
 
@@ -103,19 +103,14 @@ pub struct TaskRow {
 impl TaskRow {
     fn read(c: &Columns<'_>) -> StoreResult<Self> {
         let result: Option<&str> = c.get("result")?;
-        Ok(Self {
-            id: c.word("id")?,
-            kind: c.word("kind")?,
-            request: c.json("request")?,
-            state: c.word("state")?,
-            dataset: c.word_or_none("dataset")?,
-            result: result.map(|_| c.json("result")).transpose()?,
-            error: c.get("error")?,
-            asked_by: c.get("asked_by")?,
-            created_at: c.time("created_at")?,
-            started_at: c.time_or_none("started_at")?,
-            finished_at: c.time_or_none("finished_at")?,
-        })
+        let result = result.map(|_| c.json("result")).transpose()?;
+        Ok(row!(c, Self { result },
+            get: error, asked_by;
+            json: request;
+            word: id, kind, state;
+            word_or_none: dataset;
+            time: created_at;
+            time_or_none: started_at, finished_at))
     }
 }
 
