@@ -3,6 +3,7 @@
 
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
+use sqlx::AssertSqlSafe;
 use sqlx::sqlite::SqliteConnection;
 use utoipa::ToSchema;
 
@@ -184,19 +185,10 @@ fn is_resumable(kind: RunKind, state: StoredState, exit_status: Option<ExitStatu
     }
 }
 
-/// Inserts a run.
-macro_rules! inserting {
-    () => {
-        "INSERT INTO runs (uid, experiment, kind, definition, definition_sha256, seed, rig,
-             rig_sha256, sensor, sensor_sha256, calibration_id, label, version, git_commit,
-             deadband_n, tip_diameter_mm, trials_planned, auto_resume, state, queue_position,
-             created_at, submitted_by, plan_sha256, not_before)
-         VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12, ?13, ?14, ?15, ?16, ?17, ?18,
-             ?19, CASE WHEN ?19 = 'queued'
-                  THEN (SELECT coalesce(max(queue_position), 0) + 1 FROM runs) END,
-             ?20, ?21, ?22, ?23)"
-    };
-}
+/// Columns of the inputs of a run, in the order of their parameters, from the fifth on.
+const INPUTS: &str = "experiment, kind, definition, definition_sha256, seed, rig, rig_sha256, \
+     sensor, sensor_sha256, calibration_id, label, version, git_commit, deadband_n, \
+     tip_diameter_mm, trials_planned, auto_resume, plan_sha256, not_before";
 
 /// Inserts a run, `Queued` at the end of the queue or `Idle`, and returns its row. `now` is its time of
 /// creation.
@@ -211,8 +203,7 @@ pub(crate) async fn insert(
     now: String,
     operation: &'static str,
 ) -> StoreResult<RunRow> {
-    let statement = concat!(inserting!(), " RETURNING *");
-    write(connection, statement, new, state, now, operation).await
+    write(connection, "", new, state, now, operation).await
 }
 
 /// Replaces the inputs of the queued run with the uid of `new`, and returns its row; number, place,
@@ -234,30 +225,21 @@ pub(crate) async fn replace(
             .await
             .during(operation)?;
     let earlier_plan = queued.ok_or(StoreError::NotQueued(uid))?;
-    let statement = concat!(
-        inserting!(),
-        " ON CONFLICT (uid) DO UPDATE SET experiment = excluded.experiment, kind = excluded.kind,
-             definition = excluded.definition, definition_sha256 = excluded.definition_sha256,
-             seed = excluded.seed, rig = excluded.rig, rig_sha256 = excluded.rig_sha256,
-             sensor = excluded.sensor, sensor_sha256 = excluded.sensor_sha256,
-             calibration_id = excluded.calibration_id, label = excluded.label,
-             version = excluded.version, git_commit = excluded.git_commit,
-             deadband_n = excluded.deadband_n, tip_diameter_mm = excluded.tip_diameter_mm,
-             trials_planned = excluded.trials_planned, auto_resume = excluded.auto_resume,
-             plan_sha256 = excluded.plan_sha256, not_before = excluded.not_before,
-             waiting_since = NULL
-         RETURNING *"
-    );
-    let row = write(&mut *connection, statement, new, StoredState::Queued, now, operation).await?;
+    let inputs: Vec<String> =
+        INPUTS.split(", ").map(|column| format!("{column} = excluded.{column}")).collect();
+    let inputs = inputs.join(", ");
+    let replacing = format!("ON CONFLICT (uid) DO UPDATE SET {inputs}, waiting_since = NULL");
+    let row = write(&mut *connection, &replacing, new, StoredState::Queued, now, operation).await?;
     if let Some(sha256) = earlier_plan {
         plans::discard(connection, &sha256, operation).await?;
     }
     Ok(row)
 }
 
+/// Inserts a run; `on_conflict` is what the statement does if its uid is stored.
 async fn write(
     connection: &mut SqliteConnection,
-    statement: &'static str,
+    on_conflict: &str,
     new: NewRun,
     state: StoredState,
     now: String,
@@ -275,8 +257,20 @@ async fn write(
         Some(plan) => Some(plans::keep(&mut *connection, plan, operation).await?),
         None => None,
     };
-    let row = sqlx::query(statement)
+    let values: Vec<String> = (5..).zip(INPUTS.split(", ")).map(|(n, _)| format!("?{n}")).collect();
+    let statement = format!(
+        "INSERT INTO runs (uid, state, queue_position, created_at, submitted_by, {INPUTS})
+         VALUES (?1, ?2, CASE WHEN ?2 = 'queued'
+                 THEN (SELECT coalesce(max(queue_position), 0) + 1 FROM runs) END,
+             ?3, ?4, {})
+         {on_conflict} RETURNING *",
+        values.join(", ")
+    );
+    let row = sqlx::query(AssertSqlSafe(statement))
         .bind(new.uid.to_string())
+        .bind(state.as_str())
+        .bind(now)
+        .bind(&new.submitted_by)
         .bind(&new.experiment)
         .bind(new.kind.as_str())
         .bind(&new.definition)
@@ -294,9 +288,6 @@ async fn write(
         .bind(new.tip_diameter_mm)
         .bind(planned)
         .bind(new.auto_resume)
-        .bind(state.as_str())
-        .bind(now)
-        .bind(&new.submitted_by)
         .bind(plan_sha256)
         .bind(new.not_before.map(time_text))
         .fetch_one(connection)
