@@ -114,6 +114,12 @@ impl Store {
     pub async fn lock(&self) -> StoreResult<Option<LockRow>> {
         self.row("reading the operator lock", sqlx::query(HELD), LockRow::read).await
     }
+
+    /// Returns who took the lock after a time, with the note; `None` if it was not taken.
+    pub(crate) async fn taken_since(&self, at: Timestamp) -> StoreResult<Option<String>> {
+        let lock = self.lock().await?.filter(|lock| lock.since > at);
+        Ok(lock.map(|lock| format!("{}: {}", lock.holder, lock.note)))
+    }
 }
 
 /// Returns the lock; `None` if it is free.
