@@ -6,10 +6,7 @@ use std::sync::Arc;
 use super::{Folder, execute, hex_trial, new_run, now, random_trial, time, with_run};
 use crate::ids::{RunUid, TrialId, TrialKey};
 use crate::journal::Journal;
-use crate::record::{
-    ArmTouch, AttemptRecord, Flag, ReferenceRecord, TareRecord, TouchOffRecord, TrialScalars,
-    Untouched,
-};
+use crate::record::{Flag, TrialScalars, Untouched};
 use crate::{Condition, Order, RunKind, SettingCount, StoreError, TrialQuery};
 
 fn that(condition: &str) -> Condition {
@@ -406,57 +403,17 @@ async fn untouched_frames_of_an_earlier_version_are_placed_by_their_times() {
 }
 
 #[tokio::test]
-async fn what_stands_beside_the_trials_comes_back() {
+async fn a_skip_keeps_its_first_reason_and_time() {
     let (_folder, store, run) = with_run(RunKind::RealHex).await;
     let at = time("2026-11-20T18:00:00.5Z");
-    let like = hex_trial(2, 0, &[10.0, 11.0]);
-    let tares = [3, 4].map(|configuration| TareRecord {
-        configuration,
-        volts: vec![(1, 0.501), (2, 0.4987)],
-        samples: 4,
-        at,
-    });
-    for tare in &tares {
-        store.tare(run, tare).await.unwrap();
-    }
-    assert_eq!(store.tares(run).await.unwrap(), tares);
-    let presses = [0, 100].map(|before_configuration| ReferenceRecord {
-        before_configuration,
-        reached: like.reached.unwrap(),
-        depth_mm: 3.0,
-        arms: like.arms.clone(),
-        frame: like.frames[0].clone(),
-        at,
-    });
-    for press in &presses {
-        store.reference(run, press).await.unwrap();
-    }
-    assert_eq!(store.references(run).await.unwrap(), presses);
-    let found = TouchOffRecord {
-        tips: 2,
-        surface_z_mm: 41.300_1,
-        tip_offset_mm: vec![(1, -0.1), (2, 0.1)],
-        touches: vec![
-            ArmTouch { x_mm: 270.0, y_mm: 280.0, arm: 1, z_mm: 41.2 },
-            ArmTouch { x_mm: 270.0, y_mm: 297.3, arm: 2, z_mm: 41.4 },
-        ],
-        at,
-    };
-    store.touch_off(run, &found).await.unwrap();
-    assert_eq!(store.touch_offs(run).await.unwrap(), [found]);
-    let key = TrialKey { configuration: 5, depth_index: 2 };
-    let attempt = AttemptRecord { key, attempt: 1, reason: "cell 2: 0 V".into(), at };
-    store.attempt(run, &attempt).await.unwrap();
-    assert_eq!(store.attempts(run, 5).await.unwrap(), [attempt]);
     store.skip(run, 5, "cell 2: 0 V three times", at).await.unwrap();
     store.skip(run, 5, "again", now()).await.unwrap();
     let skips = store.skips(run).await.unwrap();
     assert_eq!((skips.len(), skips[0].reason.as_str()), (1, "cell 2: 0 V three times"));
     assert_eq!(skips[0].at, at, "when it happened, not when it was written");
-    let progress = store.progress(run).await.unwrap();
-    assert_eq!((progress.skipped.into_iter().collect::<Vec<_>>(), progress.retries), (vec![5], 1));
-    assert!(progress.stored.is_empty(), "none of these is a trial");
-    let missing = store.tare(RunUid::new(), &tares[0]).await.unwrap_err();
+    let skipped = store.progress(run).await.unwrap().skipped;
+    assert_eq!(skipped.into_iter().collect::<Vec<_>>(), [5]);
+    let missing = store.skip(RunUid::new(), 5, "cell 2: 0 V", at).await.unwrap_err();
     let cause = missing.source.downcast_ref::<StoreError>();
     assert!(matches!(cause, Some(StoreError::NoSuchRun(_))), "{missing:?}");
 }
