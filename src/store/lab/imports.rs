@@ -10,7 +10,7 @@ use sqlx::sqlite::SqliteConnection;
 
 use super::twins::{self, Twin, TwinModelId, TwinOutcome};
 use crate::bench::run_row::{self, NewRun, RunRow};
-use crate::bench::trials::{self, Frames};
+use crate::bench::trials;
 use crate::core::columns::{Columns, time_text};
 use crate::core::facts::RunKind;
 use crate::core::{During, Store, StoreError, StoreResult};
@@ -280,8 +280,9 @@ async fn insert(
         imported_tag: trial.tag.as_deref(),
     };
     let raw = as_counts(&trial.frames_v);
-    let frames = Frames { mean_v: &trial.voltages_v, raw: &raw };
-    let inserted = trials::insert(connection, scan_id, &numbers, frames, STORING_IMPORT).await?;
+    let mean_v = &trial.voltages_v;
+    let inserted = trials::insert(connection, scan_id, &numbers, mean_v, &raw, STORING_IMPORT);
+    let inserted = inserted.await?;
     let id = inserted.ok_or_else(|| refused("its key", "must be new"))?;
     let (Some(model), Some(frame), Some((rmse_v, fvu))) = (model, &trial.sim_voltages_v, trial.fit)
     else {
