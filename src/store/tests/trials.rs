@@ -3,7 +3,7 @@
 
 use std::sync::Arc;
 
-use super::{Folder, execute, hex_trial, new_run, now, random_trial, time, with_run};
+use super::{EARLY_RUN, Folder, execute, hex_trial, new_run, now, random_trial, time, with_run};
 use crate::ids::{RunUid, TrialId, TrialKey};
 use crate::journal::Journal;
 use crate::record::{Flag, TrialScalars, Untouched};
@@ -368,13 +368,7 @@ async fn a_trial_has_the_untouched_skin_that_was_measured_last_before_it() {
 async fn untouched_frames_of_an_earlier_version_are_placed_by_their_times() {
     let folder = Folder::new();
     let filled =
-        "INSERT INTO runs (scan_id, uid, experiment, kind, definition, definition_sha256, seed,
-             rig, rig_sha256, sensor, sensor_sha256, label, version, deadband_n, trials_planned,
-             auto_resume, state, created_at, submitted_by)
-         VALUES (1, '0190a0a0-0000-7000-8000-000000000001', 'e', 'real-random', 'd', 'h', 7, 'r',
-             'h', 's', 'h', 'virtual', '0', 5.0, 3, 0, 'interrupted', '2026-11-20T18:00:00.000Z',
-             'a');
-         INSERT INTO trials (id, run, configuration, depth_index, attempt, tips, flags, settle_ms,
+        "INSERT INTO trials (id, run, configuration, depth_index, attempt, tips, flags, settle_ms,
              contact_count, frame_count, started_at, measured_at)
          VALUES (5, 1, 0, 0, 1, 1, '[]', 1.5, 1, 1, '2026-11-20T18:00:01.000Z',
              '2026-11-20T18:00:02.000Z'),
@@ -385,7 +379,7 @@ async fn untouched_frames_of_an_earlier_version_are_placed_by_their_times() {
          INSERT INTO untouched_frames (id, run, at, frame_count, voltages_v, crc32)
          VALUES (1, 1, '2026-11-20T18:00:03.000Z', 30, x'0000803f', 2896259690),
              (2, 1, '2026-11-20T18:00:05.000Z', 30, x'00000040', 1469619852);";
-    let store = folder.open_from_before(25, filled).await;
+    let store = folder.open_from_before(25, &[EARLY_RUN, filled]).await;
     store.integrity_check().await.unwrap();
     let run = store.run_by_scan_id(1).await.unwrap().unwrap().uid;
     let skin = Untouched {
