@@ -1,5 +1,5 @@
 //! The samples of the load cells of the last half hour, in memory.
-//! Uses: the campaign's samples, `envelope`. Never: a sample on the disk; a delay of the campaign.
+//! Uses: the campaign's samples, `envelope`, `live`. Never: a sample on the disk; a delay of the campaign.
 
 use std::collections::VecDeque;
 use std::iter::from_fn;
