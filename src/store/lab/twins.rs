@@ -212,8 +212,7 @@ impl Store {
                     TwinOutcome::Frame { voltages_v, rmse_v: c.get("rmse_v")?, fvu: c.get("fvu")? }
                 }
                 None => {
-                    let failure: Option<String> = c.get("failure")?;
-                    TwinOutcome::Failure(failure.unwrap_or_default())
+                    TwinOutcome::Failure(c.get::<Option<String>>("failure")?.unwrap_or_default())
                 }
             };
             Ok(Twin { trial, outcome })
