@@ -28,48 +28,35 @@ const KEY: &str = "key";
 /// A refusal that precedes a handler: status, name of the shared response, meaning.
 type Refusal = (&'static str, &'static str, &'static str);
 
-const BAD_REQUEST: Refusal = (
-    "400",
-    "BadRequest",
-    "a parameter is unknown or invalid, or the syntax of the body is invalid",
-);
-const NO_KEY: Refusal = ("401", "NoKey", "the key is missing, unknown or revoked");
-const FORBIDDEN: Refusal =
-    ("403", "Forbidden", "the role is too low, or the request is from a page of another origin");
-const NOT_FOUND: Refusal = ("404", "NotFound", "an object that the address names does not exist");
-const NOT_ACCEPTED: Refusal =
-    ("406", "NotAccepted", "the header `Accept` permits no format of the response");
-const TOO_SLOW: Refusal = ("408", "TooSlow", "the body arrived too slowly");
-const LOCKED: Refusal = ("409", "Locked", "another person holds the operator lock");
-const TOO_LARGE: Refusal = ("413", "TooLarge", "the body is too large");
-const OTHER_TYPE: Refusal = ("415", "OtherType", "the body has another media type");
-const CHANGED: Refusal = ("412", "Changed", "no entity tag of `If-Match` is that of the file");
-const LONG_ADDRESS: Refusal = ("414", "LongAddress", "path and query are too long");
-const BEYOND: Refusal = ("416", "Beyond", "`Range` begins after the end of the file");
-const INVALID: Refusal = ("422", "Invalid", "a value of the body is invalid");
-const NO_SOCKET: Refusal = ("426", "NoSocket", "the request does not ask for a WebSocket");
-const TOO_MANY: Refusal = ("429", "TooMany", "the caller has too many requests in progress");
-const LONG_HEADERS: Refusal = ("431", "LongHeaders", "the headers are too many or too long");
-const BUSY: Refusal = ("503", "Busy", "all connections are in use, or the service ends");
-const ALL: [Refusal; 17] = [
-    NOT_FOUND,
-    NOT_ACCEPTED,
-    NO_SOCKET,
-    BAD_REQUEST,
-    NO_KEY,
-    FORBIDDEN,
-    TOO_SLOW,
-    LOCKED,
-    CHANGED,
-    TOO_LARGE,
-    LONG_ADDRESS,
-    OTHER_TYPE,
-    BEYOND,
-    INVALID,
-    TOO_MANY,
-    LONG_HEADERS,
-    BUSY,
-];
+/// Names refusals, and lists all of them: `NAME: status, response, meaning;`.
+macro_rules! refusals {
+    ($($name:ident: $status:literal, $response:literal, $meaning:literal;)*) => {
+        $(const $name: Refusal = ($status, $response, $meaning);)*
+        const ALL: &[Refusal] = &[$($name),*];
+    };
+}
+
+refusals! {
+    BAD_REQUEST: "400", "BadRequest",
+        "a parameter is unknown or invalid, or the syntax of the body is invalid";
+    NO_KEY: "401", "NoKey", "the key is missing, unknown or revoked";
+    FORBIDDEN: "403", "Forbidden",
+        "the role is too low, or the request is from a page of another origin";
+    NOT_FOUND: "404", "NotFound", "an object that the address names does not exist";
+    NOT_ACCEPTED: "406", "NotAccepted", "the header `Accept` permits no format of the response";
+    TOO_SLOW: "408", "TooSlow", "the body arrived too slowly";
+    LOCKED: "409", "Locked", "another person holds the operator lock";
+    TOO_LARGE: "413", "TooLarge", "the body is too large";
+    OTHER_TYPE: "415", "OtherType", "the body has another media type";
+    CHANGED: "412", "Changed", "no entity tag of `If-Match` is that of the file";
+    LONG_ADDRESS: "414", "LongAddress", "path and query are too long";
+    BEYOND: "416", "Beyond", "`Range` begins after the end of the file";
+    INVALID: "422", "Invalid", "a value of the body is invalid";
+    NO_SOCKET: "426", "NoSocket", "the request does not ask for a WebSocket";
+    TOO_MANY: "429", "TooMany", "the caller has too many requests in progress";
+    LONG_HEADERS: "431", "LongHeaders", "the headers are too many or too long";
+    BUSY: "503", "Busy", "all connections are in use, or the service ends";
+}
 
 /// Objects that an address names: parameter of the path, its meaning, and why none is found. A handler states only
 /// another reason.
@@ -97,7 +84,7 @@ pub fn complete(description: &mut OpenApi, all: &AllNeeds) {
         ))
         .build();
     components.add_security_scheme(KEY, SecurityScheme::Http(bearer));
-    for (_, name, meaning) in ALL {
+    for &(_, name, meaning) in ALL {
         components.responses.insert(name.into(), RefOr::T(problem(meaning)));
     }
     simplify(components);

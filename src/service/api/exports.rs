@@ -121,19 +121,17 @@ pub async fn one(app: App, Path(export): Path<String>) -> ApiResult<Json<ExportO
         (status = 410, description = "the file was removed to free space")))]
 pub async fn file(app: App, Path(export): Path<String>, request: Request) -> ApiResult<Response> {
     let row = find(&app, &export).await?;
-    match row.state {
-        TaskState::Done => {}
+    let refused = match row.state {
+        TaskState::Done => None,
         TaskState::Failed => {
-            let why = row.error.unwrap_or_default();
-            return Err(ApiError::new(
-                StatusCode::CONFLICT,
-                format!("export {export} failed: {why}"),
-            ));
+            Some(format!("export {export} failed: {}", row.error.as_deref().unwrap_or_default()))
         }
         TaskState::Waiting | TaskState::Running | TaskState::Stopped => {
-            let words = format!("export {export} is not done: see /api/v1/exports/{export}");
-            return Err(ApiError::new(StatusCode::CONFLICT, words));
+            Some(format!("export {export} is not done: see /api/v1/exports/{export}"))
         }
+    };
+    if let Some(words) = refused {
+        return Err(ApiError::new(StatusCode::CONFLICT, words));
     }
     let Some(export_file) = app.datasets.export_file(&row) else {
         let words = format!("the file of export {export} was removed: request the export again");

@@ -6,7 +6,7 @@ use utoipa::ToSchema;
 
 use super::needs::{Around, not_raised, not_stopped, sentence};
 use crate::campaign::bench::rig_state::RigState;
-use crate::campaign::shown::status::{RunStatus, Status};
+use crate::campaign::shown::status::Status;
 use crate::plain::{bytes, counted};
 use crate::state::StoredState;
 use crate::twins::drift::{Level, RollingFit};
@@ -181,7 +181,11 @@ fn data(status: &Status, around: Around<'_>, facts: Facts<'_>) -> (Rating, Strin
         words.push(format!("{channels} stuck or saturated."));
     }
     if words.is_empty() {
-        return (Rating::Unknown, unjudged(status.run.as_ref()).into());
+        let words = match status.run {
+            Some(_) => "No twin to compare with yet.",
+            None => "Nothing to judge yet.",
+        };
+        return (Rating::Unknown, words.into());
     }
     // Without a fresh frame nothing says that the data are good now.
     if rating <= Rating::Good {
@@ -189,13 +193,6 @@ fn data(status: &Status, around: Around<'_>, facts: Facts<'_>) -> (Rating, Strin
         rating = if is_fresh { Rating::Good } else { Rating::Unknown };
     }
     (rating, words.join(" "))
-}
-
-fn unjudged(run: Option<&RunStatus>) -> &'static str {
-    match run {
-        Some(_) => "No twin to compare with yet.",
-        None => "Nothing to judge yet.",
-    }
 }
 
 #[cfg(test)]

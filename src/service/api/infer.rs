@@ -229,16 +229,7 @@ impl Sent {
                 }
                 bytes.as_chunks().0.iter().map(|b| f32::from_le_bytes(*b)).collect()
             }
-            Self::Lists(frames) => {
-                let wrong = frames.iter().position(|frame| frame.len() != channels);
-                if let Some(index) = wrong {
-                    let key = format!("frames[{index}]");
-                    let limit =
-                        format!("must have {channels} voltages, one per channel of the sensor");
-                    return Err(ApiError::value(&key, frames[index].len(), &limit));
-                }
-                frames.concat()
-            }
+            Self::Lists(frames) => joined(&frames, channels, "sensor")?,
         };
         let count = frames.len() / channels;
         for (applies, most, of) in [
@@ -251,10 +242,29 @@ impl Sent {
                 return Err(ApiError::value("frames", count, &limit));
             }
         }
-        if let Some(at) = frames.iter().position(|v| !v.is_finite()) {
-            let key = format!("frames[{}][{}]", at / channels, at % channels);
-            return Err(ApiError::value(&key, frames[at], "must be a finite number of volts"));
-        }
+        check_finite(&frames, channels)?;
         Ok(frames)
     }
+}
+
+/// Joins frames, V, that have a voltage for each channel `of` a sensor or a net.
+///
+/// # Errors
+/// 422 if one has not.
+pub(super) fn joined(frames: &[Vec<f32>], channels: usize, of: &str) -> ApiResult<Vec<f32>> {
+    if let Some(index) = frames.iter().position(|frame| frame.len() != channels) {
+        let limit = format!("must have {channels} voltages, one per channel of the {of}");
+        return Err(ApiError::value(&format!("frames[{index}]"), frames[index].len(), &limit));
+    }
+    Ok(frames.concat())
+}
+
+/// Checks that the voltages of joined frames are finite.
+///
+/// # Errors
+/// 422 if one is not.
+pub(super) fn check_finite(frames: &[f32], channels: usize) -> ApiResult<()> {
+    let Some(at) = frames.iter().position(|v| !v.is_finite()) else { return Ok(()) };
+    let key = format!("frames[{}][{}]", at / channels, at % channels);
+    Err(ApiError::value(&key, frames[at], "must be a finite number of volts"))
 }

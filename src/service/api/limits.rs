@@ -153,12 +153,8 @@ mod tests {
 
     const HEAD_BEYOND: &str = "431, except of the e-stop; beyond 417792 bytes or 256 fields, of every request, without a body";
 
-    /// A line of the page.
-    struct Bound {
-        of: &'static str,
-        most: String,
-        beyond: &'static str,
-    }
+    /// A line of the page: what is bounded, its bound, and what happens beyond it.
+    type Bound = (&'static str, String, &'static str);
 
     fn seconds(time: Duration) -> String {
         match time.as_millis() {
@@ -178,71 +174,70 @@ mod tests {
 
     #[rustfmt::skip]
     fn table() -> Vec<Bound> {
-        let line = |of, most, beyond| Bound { of, most, beyond };
         let n = |n: usize| n.to_string();
         vec![
-            line("connections", n(CONNECTIONS), "the connection that was idle for longest is closed; if all are busy or new: 503, except for the e-stop and /health"),
-            line("further connections for the e-stop and /health", n(RESERVED), "as above"),
-            line("head of a request, from its first byte", seconds(HEAD_WITHIN), "the connection is closed"),
-            line("connection between two requests", seconds(IDLE_WITHIN), "the connection is closed"),
-            line("body: time without a byte", seconds(BODY_STALL), "408, the connection is closed"),
-            line("body: whole, uploads excluded", seconds(BODY_WITHIN), "408, the connection is closed"),
-            line("body: whole, of an upload", seconds(UPLOAD_WITHIN), "408, the connection is closed"),
-            line("response: time in which the client takes no byte", seconds(SEND_STALL), "the connection is closed"),
-            line("requests in progress of one key, or of all clients without a key; streams count", n(CALLER_REQUESTS), "429 with Retry-After"),
-            line("preflights in progress", n(PREFLIGHTS), "the request waits, then 503"),
-            line("simulations in progress", n(SIMULATIONS), "the request waits, then 503"),
-            line("contacts of a simulation", n(SIMULATED_CONTACTS), "422"),
-            line("force of a contact of a simulation", format!("{FORCE_MAX_N} N"), "422"),
-            line("wait for the turn of a preflight, a simulation or an inference", seconds(TURN_WAIT), "503"),
-            line("queries in progress", format!("{QUERIES}; while a run is driven 1, with one thread"), "the request waits, then 503 with Retry-After"),
-            line("statement of a query", bytes(SQL_MAX_BYTES), "400"),
-            line("time of a query, without sending its rows", seconds(TIME_MAX), "400"),
-            line("time in which the client takes the rows of a query", seconds(TAKEN_WITHIN), "the query ends, the connection is closed before the last row"),
-            line("memory of the engine of a query", bytes(MEMORY_MAX_BYTES as usize), "400"),
-            line("rows of a query", ROWS_MAX.to_string(), "400"),
-            line("result of a query as JSON", bytes(QUERY_JSON_MAX_BYTES), "400"),
-            line("inferences by nets in progress", n(NET_REQUESTS), "the request waits, then 503"),
-            line("inferences by `exact` in progress", n(FIT_REQUESTS), "the request waits, then 503"),
-            line("frames of an inference", n(FRAMES_MAX), "422"),
-            line("frames of an inference by `exact`", n(EXACT_MAX), "422"),
-            line("frames of an inference with maps", n(MAPS_MAX), "422"),
-            line("clients of live frames, recordings included", n(FRAME_CLIENTS), "503"),
-            line("frames of a recording", n(RECORDED_FRAMES), "400"),
-            line("clients of the live status", n(STATUS_CLIENTS), "503"),
-            line("samples of the load cells in one response", n(SAMPLES_MAX), "extremes are kept"),
-            line("time for which samples of the load cells are kept", format!("{SAMPLES_MINUTES} min"), "older ones are forgotten"),
-            line("clients of live contacts", n(LIVE_CLIENTS), "503"),
-            line("message of a WebSocket client", bytes(MESSAGE_MAX_BYTES), "the socket is closed"),
-            line("unused tickets of one key, or of all clients without a key, for WebSockets", n(TICKETS), "429"),
-            line("validity of a ticket, one use", seconds(TICKET), "401"),
-            line("delay of the response to a wrong key", seconds(WRONG_KEY_DELAY), "never of the e-stop"),
-            line("responses delayed at once", n(DELAYED), "further ones are not delayed"),
-            line("path and query of a request", bytes(URI_MAX_BYTES), "414; beyond 65534 bytes without a body"),
-            line("headers of a request", bytes(HEADERS_MAX_BYTES), HEAD_BEYOND),
-            line("header fields of a request", n(FIELDS_MAX), HEAD_BEYOND),
-            line("parts of a file that `Range` selects, after merging", n(RANGES_MAX), "200 with the whole file"),
-            line("body of an action or a simulation", bytes(ACTION_BODY_MAX_BYTES), "413"),
-            line("body of a submission, recipe, definition, calibration, and of any other request", bytes(BODY_MAX_BYTES), "413"),
-            line("body with frames", bytes(FRAMES_MAX_BYTES), "413"),
-            line("form with a model", bytes(MODEL_MAX_BYTES), "413"),
-            line("import", bytes(IMPORT_MAX_BYTES), "413"),
-            line("trials of an import", IMPORTED_TRIALS_MAX.to_string(), "400"),
-            line("free space that imports, datasets, exports and questions in SQL leave to runs: at least", bytes(KEPT_FREE_BYTES as usize), "507; exports: the task fails"),
-            line("text part of a form", bytes(PART_MAX_BYTES), "413"),
-            line("name of a person, holder, key or model", format!("{WHO_MAX_CHARS} characters"), "422; in the log of actions: cut"),
-            line("name of an experiment", format!("{NAME_MAX_CHARS} characters"), "422"),
-            line("note of the lock, reason of an action", format!("{WHY_MAX_CHARS} characters"), "422; in the log of actions: cut"),
-            line("message of a refusal in the log of actions", format!("{DETAIL_MAX_CHARS} characters"), "cut"),
-            line("entries of a page of a list, by default 100", LIST_MAX.to_string(), "400"),
-            line("rows of a page of trials or of a dataset, by default 100; groups of an answer", MAX_PAGE.to_string(), "400"),
-            line("age of the status that a request states with `Status-At`", seconds(STATUS_AGE_MAX), "409, except to pause, stop or abort a run"),
-            line("`Idempotency-Key`", format!("{ONCE_KEY_MAX_CHARS} characters"), "400"),
-            line("kept requests with an `Idempotency-Key` of one key, or of all clients without a key", ONCE_MAX.to_string(), "the oldest one is removed: its repetition is a new request"),
-            line("response to a request with an `Idempotency-Key`", bytes(ONCE_RESPONSE_MAX_BYTES), "not kept: a repetition gets 409"),
-            line("parameters of a selection of rows", n(CONDITIONS_MAX), "400"),
-            line("values of all conditions of a selection of rows", n(VALUES_MAX), "400"),
-            line("numbers in the frames and maps of a page", PAGE_NUMBERS_MAX.to_string(), "400"),
+            ("connections", n(CONNECTIONS), "the connection that was idle for longest is closed; if all are busy or new: 503, except for the e-stop and /health"),
+            ("further connections for the e-stop and /health", n(RESERVED), "as above"),
+            ("head of a request, from its first byte", seconds(HEAD_WITHIN), "the connection is closed"),
+            ("connection between two requests", seconds(IDLE_WITHIN), "the connection is closed"),
+            ("body: time without a byte", seconds(BODY_STALL), "408, the connection is closed"),
+            ("body: whole, uploads excluded", seconds(BODY_WITHIN), "408, the connection is closed"),
+            ("body: whole, of an upload", seconds(UPLOAD_WITHIN), "408, the connection is closed"),
+            ("response: time in which the client takes no byte", seconds(SEND_STALL), "the connection is closed"),
+            ("requests in progress of one key, or of all clients without a key; streams count", n(CALLER_REQUESTS), "429 with Retry-After"),
+            ("preflights in progress", n(PREFLIGHTS), "the request waits, then 503"),
+            ("simulations in progress", n(SIMULATIONS), "the request waits, then 503"),
+            ("contacts of a simulation", n(SIMULATED_CONTACTS), "422"),
+            ("force of a contact of a simulation", format!("{FORCE_MAX_N} N"), "422"),
+            ("wait for the turn of a preflight, a simulation or an inference", seconds(TURN_WAIT), "503"),
+            ("queries in progress", format!("{QUERIES}; while a run is driven 1, with one thread"), "the request waits, then 503 with Retry-After"),
+            ("statement of a query", bytes(SQL_MAX_BYTES), "400"),
+            ("time of a query, without sending its rows", seconds(TIME_MAX), "400"),
+            ("time in which the client takes the rows of a query", seconds(TAKEN_WITHIN), "the query ends, the connection is closed before the last row"),
+            ("memory of the engine of a query", bytes(MEMORY_MAX_BYTES as usize), "400"),
+            ("rows of a query", ROWS_MAX.to_string(), "400"),
+            ("result of a query as JSON", bytes(QUERY_JSON_MAX_BYTES), "400"),
+            ("inferences by nets in progress", n(NET_REQUESTS), "the request waits, then 503"),
+            ("inferences by `exact` in progress", n(FIT_REQUESTS), "the request waits, then 503"),
+            ("frames of an inference", n(FRAMES_MAX), "422"),
+            ("frames of an inference by `exact`", n(EXACT_MAX), "422"),
+            ("frames of an inference with maps", n(MAPS_MAX), "422"),
+            ("clients of live frames, recordings included", n(FRAME_CLIENTS), "503"),
+            ("frames of a recording", n(RECORDED_FRAMES), "400"),
+            ("clients of the live status", n(STATUS_CLIENTS), "503"),
+            ("samples of the load cells in one response", n(SAMPLES_MAX), "extremes are kept"),
+            ("time for which samples of the load cells are kept", format!("{SAMPLES_MINUTES} min"), "older ones are forgotten"),
+            ("clients of live contacts", n(LIVE_CLIENTS), "503"),
+            ("message of a WebSocket client", bytes(MESSAGE_MAX_BYTES), "the socket is closed"),
+            ("unused tickets of one key, or of all clients without a key, for WebSockets", n(TICKETS), "429"),
+            ("validity of a ticket, one use", seconds(TICKET), "401"),
+            ("delay of the response to a wrong key", seconds(WRONG_KEY_DELAY), "never of the e-stop"),
+            ("responses delayed at once", n(DELAYED), "further ones are not delayed"),
+            ("path and query of a request", bytes(URI_MAX_BYTES), "414; beyond 65534 bytes without a body"),
+            ("headers of a request", bytes(HEADERS_MAX_BYTES), HEAD_BEYOND),
+            ("header fields of a request", n(FIELDS_MAX), HEAD_BEYOND),
+            ("parts of a file that `Range` selects, after merging", n(RANGES_MAX), "200 with the whole file"),
+            ("body of an action or a simulation", bytes(ACTION_BODY_MAX_BYTES), "413"),
+            ("body of a submission, recipe, definition, calibration, and of any other request", bytes(BODY_MAX_BYTES), "413"),
+            ("body with frames", bytes(FRAMES_MAX_BYTES), "413"),
+            ("form with a model", bytes(MODEL_MAX_BYTES), "413"),
+            ("import", bytes(IMPORT_MAX_BYTES), "413"),
+            ("trials of an import", IMPORTED_TRIALS_MAX.to_string(), "400"),
+            ("free space that imports, datasets, exports and questions in SQL leave to runs: at least", bytes(KEPT_FREE_BYTES as usize), "507; exports: the task fails"),
+            ("text part of a form", bytes(PART_MAX_BYTES), "413"),
+            ("name of a person, holder, key or model", format!("{WHO_MAX_CHARS} characters"), "422; in the log of actions: cut"),
+            ("name of an experiment", format!("{NAME_MAX_CHARS} characters"), "422"),
+            ("note of the lock, reason of an action", format!("{WHY_MAX_CHARS} characters"), "422; in the log of actions: cut"),
+            ("message of a refusal in the log of actions", format!("{DETAIL_MAX_CHARS} characters"), "cut"),
+            ("entries of a page of a list, by default 100", LIST_MAX.to_string(), "400"),
+            ("rows of a page of trials or of a dataset, by default 100; groups of an answer", MAX_PAGE.to_string(), "400"),
+            ("age of the status that a request states with `Status-At`", seconds(STATUS_AGE_MAX), "409, except to pause, stop or abort a run"),
+            ("`Idempotency-Key`", format!("{ONCE_KEY_MAX_CHARS} characters"), "400"),
+            ("kept requests with an `Idempotency-Key` of one key, or of all clients without a key", ONCE_MAX.to_string(), "the oldest one is removed: its repetition is a new request"),
+            ("response to a request with an `Idempotency-Key`", bytes(ONCE_RESPONSE_MAX_BYTES), "not kept: a repetition gets 409"),
+            ("parameters of a selection of rows", n(CONDITIONS_MAX), "400"),
+            ("values of all conditions of a selection of rows", n(VALUES_MAX), "400"),
+            ("numbers in the frames and maps of a page", PAGE_NUMBERS_MAX.to_string(), "400"),
         ]
     }
 
@@ -250,8 +245,8 @@ mod tests {
     #[test]
     fn the_page_of_limits_is_what_the_code_says() {
         let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs/limits.md");
-        let lines =
-            table().into_iter().map(|b| format!("| {} | {} | {} |\n", b.of, b.most, b.beyond));
+        let line = |(of, most, beyond): Bound| format!("| {of} | {most} | {beyond} |\n");
+        let lines = table().into_iter().map(line);
         let page = format!(
             "# Limits of the API\n\nGenerated from `src/service/api/limits.rs`. A refusal is a problem \
              body that names the limit.\n\n| of | at most | beyond |\n|---|---|---|\n{}",

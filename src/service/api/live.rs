@@ -2,6 +2,7 @@
 //! client is slower than the stream.
 //! Uses: the campaign's frames. Never: a wait of the rig (a slow client misses frames).
 
+use std::iter::from_fn;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -113,10 +114,10 @@ struct InTurn {
 impl InTurn {
     /// Waits for the next frame; `None` if none comes any more. It may be cancelled.
     async fn next(&mut self) -> Option<Arc<Frame>> {
-        if let Some(mut frame) = self.arrived() {
+        if let Some(mut frame) = arrived(&mut self.each) {
             self.hurried = self.hurried.saturating_add(1);
             if self.hurried > FRAMES_LATE {
-                frame = std::iter::from_fn(|| self.arrived()).last().unwrap_or(frame);
+                frame = from_fn(|| arrived(&mut self.each)).last().unwrap_or(frame);
             }
             return Some(frame);
         }
@@ -131,15 +132,15 @@ impl InTurn {
             }
         }
     }
+}
 
-    /// The oldest frame that has arrived and is not taken.
-    fn arrived(&mut self) -> Option<Arc<Frame>> {
-        loop {
-            match self.each.try_recv() {
-                Ok(frame) => return Some(frame),
-                Err(TryRecvError::Lagged(_)) => {}
-                Err(TryRecvError::Empty | TryRecvError::Closed) => return None,
-            }
+/// The oldest value that has arrived and is not taken; those that a slow follower missed are absent.
+pub(super) fn arrived<T: Clone>(follower: &mut broadcast::Receiver<T>) -> Option<T> {
+    loop {
+        match follower.try_recv() {
+            Ok(value) => return Some(value),
+            Err(TryRecvError::Lagged(_)) => {}
+            Err(TryRecvError::Empty | TryRecvError::Closed) => return None,
         }
     }
 }

@@ -2,6 +2,7 @@
 //! Uses: `status`, the campaign's samples, `envelope`. Never: a queue (a slow client misses messages), a
 //! wait of the campaign.
 
+use std::iter::from_fn;
 use std::time::Duration;
 
 use axum::extract::ws::{Utf8Bytes, WebSocket};
@@ -16,8 +17,8 @@ use utoipa::ToSchema;
 use super::App;
 use super::envelope::{SamplesOut, envelope};
 use super::limits::STATUS_CLIENTS;
+use super::live::arrived;
 use super::problem::ApiResult;
-use super::samples::drained;
 use super::socket::{LiveClient, closed, is_sent};
 use super::status::{ServiceStatus, StoredPart};
 
@@ -98,7 +99,7 @@ pub async fn publish(app: App) {
     tick.set_missed_tick_behavior(MissedTickBehavior::Delay);
     loop {
         tick.tick().await;
-        samples.append(&mut drained(&mut follower));
+        samples.extend(from_fn(|| arrived(&mut follower)));
         let now = app.facts.memory.live_status.0.receiver_count();
         let is_new = now > std::mem::replace(&mut clients, now);
         let has_changed = changes.has_changed().unwrap_or(false) || !samples.is_empty();

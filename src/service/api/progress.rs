@@ -105,12 +105,10 @@ fn progress(tour: &Tour, stored: &StoredParts, now: Now) -> RunProgress {
         stored: vec![0; order.len()],
         attempts_failed: vec![0; order.len()],
         skipped: stored.skipped.iter().filter_map(of).collect(),
-        current: None,
-        next: None,
         largest_force_n: vec![None; order.len()],
-        forces_by_tips: Vec::new(),
         fvu: vec![None; order.len()],
         at: now.at,
+        ..RunProgress::default()
     };
     shown.skipped.sort_unstable();
     let count = |n: u32| u16::try_from(n).unwrap_or(u16::MAX);

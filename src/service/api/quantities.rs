@@ -8,6 +8,7 @@ use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use super::App;
+use super::infer::{check_finite, joined};
 use super::limits::{FRAMES_MAX, LIVE_CLIENTS};
 use super::live_contacts::follow;
 use super::problem::{ApiError, ApiResult, Body, Path};
@@ -47,11 +48,12 @@ pub async fn quantities(
     if count == 0 || count > FRAMES_MAX {
         return Err(ApiError::value("frames", count, &format!("must be from 1 to {FRAMES_MAX}")));
     }
-    check(&request.frames, channels)?;
+    let frames = joined(&request.frames, channels, "net")?;
+    check_finite(&frames, channels)?;
     let turn = turn(&app.turns.answers).await?;
     let work = move || {
         let _turn = turn;
-        model.quantities(&request.frames.concat())
+        model.quantities(&frames)
     };
     Ok(Json(background(work).await.map_err(|_| InferError::Worker)??))
 }
@@ -95,21 +97,4 @@ pub async fn live(client: LiveClient) -> ApiResult<Response> {
             Ok(LiveQuantities { sequence, device_time_us, answer, model, latency_us })
         })
     })
-}
-
-/// Checks that all frames are complete and finite.
-fn check(frames: &[Vec<f32>], channels: usize) -> ApiResult<()> {
-    for (index, frame) in frames.iter().enumerate() {
-        if frame.len() != channels {
-            let key = format!("frames[{index}]");
-            let limit = format!("must have {channels} voltages, one per channel of the net");
-            return Err(ApiError::value(&key, frame.len(), &limit));
-        }
-        if let Some(channel) = frame.iter().position(|v| !v.is_finite()) {
-            let key = format!("frames[{index}][{channel}]");
-            let limit = "must be a finite number of volts";
-            return Err(ApiError::value(&key, frame[channel], limit));
-        }
-    }
-    Ok(())
 }

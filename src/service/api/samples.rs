@@ -1,19 +1,19 @@
 //! The samples of the load cells of the last half hour, in memory.
-//! Uses: the campaign's samples, `envelope`. Never: a sample on the disk; a delay of the campaign.
+//! Uses: the campaign's samples, `envelope`, `live`. Never: a sample on the disk; a delay of the campaign.
 
 use std::collections::VecDeque;
+use std::iter::from_fn;
 use std::time::Duration;
 
 use axum::Json;
 use parking_lot::Mutex;
 use serde::Deserialize;
-use tokio::sync::broadcast::Receiver;
-use tokio::sync::broadcast::error::TryRecvError;
 use utoipa::IntoParams;
 
 use super::App;
 use super::envelope::{SamplesOut, envelope};
 use super::limits::{SAMPLES_MAX, SAMPLES_MINUTES};
+use super::live::arrived;
 use super::problem::{ApiError, ApiResult, Params};
 use crate::campaign::shown::samples::ForceSample;
 
@@ -79,19 +79,8 @@ pub async fn keep(app: App) {
     let mut follower = app.campaign.follow_samples();
     loop {
         tokio::time::sleep(SAMPLES_PERIOD).await;
-        app.facts.memory.samples.add(&drained(&mut follower));
-    }
-}
-
-/// Takes all samples that have arrived; those that a slow follower missed are absent.
-pub(super) fn drained(follower: &mut Receiver<ForceSample>) -> Vec<ForceSample> {
-    let mut samples = Vec::new();
-    loop {
-        match follower.try_recv() {
-            Ok(sample) => samples.push(sample),
-            Err(TryRecvError::Lagged(_)) => {}
-            Err(TryRecvError::Empty | TryRecvError::Closed) => return samples,
-        }
+        let samples: Vec<_> = from_fn(|| arrived(&mut follower)).collect();
+        app.facts.memory.samples.add(&samples);
     }
 }
 

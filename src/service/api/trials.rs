@@ -104,7 +104,7 @@ async fn page(
     let request = PageOf { query, sort, from: cursors.position(pairs)?.unwrap_or_default() };
     let (next, response) = match format {
         Some(format) => {
-            let (next, response) = table(app, request, &wanted, format).await?;
+            let (next, response) = table(app, &request, &wanted, format).await?;
             (next.map(|id| cursors.cursor(id)), response)
         }
         None => {
@@ -231,38 +231,11 @@ async fn ids(app: &App, request: &PageOf) -> ApiResult<(Vec<TrialId>, Option<i64
 /// and the cursor of the next one if more trials follow.
 async fn table(
     app: &App,
-    request: PageOf,
+    request: &PageOf,
     wanted: &Wanted,
     format: Format,
 ) -> ApiResult<(Option<i64>, Response)> {
     for_pages(format).map_err(ApiError::bad_query)?;
-    let CheckedPage { ids, next, table, selection, with_voltages } =
-        checked(app, &request, wanted).await?;
-    let encoder = RowEncoder::new(format, selection.schema())?;
-    let store = app.store.clone();
-    let chunks: Vec<Vec<TrialId>> = ids.chunks(PIECE_ROWS).map(<[_]>::to_vec).collect();
-    let reads = chunks.into_iter().map(move |chunk| {
-        let store = store.clone();
-        async move { read(&store, &chunk, with_voltages).await }
-    });
-    let encodable = move |trials: StoreResult<Vec<TrialRow>>| -> DatasetResult<_> {
-        let rows: Vec<Row> = trials?.into_iter().map(|trial| Row { trial, part: None }).collect();
-        Ok(selection.apply(&batch::of_trials(&table, &rows)?, None)?)
-    };
-    let batches = futures::stream::iter(reads).buffered(PIECES_AT_ONCE).map(encodable);
-    Ok((next, encoder.response(batches, "a page of trials is incomplete")))
-}
-
-/// The ids of a page, with its checked columns.
-struct CheckedPage {
-    ids: Vec<TrialId>,
-    next: Option<i64>,
-    table: SchemaRef,
-    selection: Selection,
-    with_voltages: bool,
-}
-
-async fn checked(app: &App, request: &PageOf, wanted: &Wanted) -> ApiResult<CheckedPage> {
     let query = &request.query;
     let (ids, next) = ids(app, request).await?;
     let frames = |name: &String| Column::find(name).is_some_and(Column::is_frame);
@@ -282,7 +255,19 @@ async fn checked(app: &App, request: &PageOf, wanted: &Wanted) -> ApiResult<Chec
     let table = trials_schema(channels, with_voltages);
     let selection = Selection::new(wanted, &table, None).map_err(ApiError::bad_query)?;
     send::check_numbers(send::numbers_per_row(selection.schema()), query.limit)?;
-    Ok(CheckedPage { ids, next, table, selection, with_voltages })
+    let encoder = RowEncoder::new(format, selection.schema())?;
+    let store = app.store.clone();
+    let chunks: Vec<Vec<TrialId>> = ids.chunks(PIECE_ROWS).map(<[_]>::to_vec).collect();
+    let reads = chunks.into_iter().map(move |chunk| {
+        let store = store.clone();
+        async move { read(&store, &chunk, with_voltages).await }
+    });
+    let encodable = move |trials: StoreResult<Vec<TrialRow>>| -> DatasetResult<_> {
+        let rows: Vec<Row> = trials?.into_iter().map(|trial| Row { trial, part: None }).collect();
+        Ok(selection.apply(&batch::of_trials(&table, &rows)?, None)?)
+    };
+    let batches = futures::stream::iter(reads).buffered(PIECES_AT_ONCE).map(encodable);
+    Ok((next, encoder.response(batches, "a page of trials is incomplete")))
 }
 
 /// The columns of stored trials; frames only where they are requested.

@@ -37,10 +37,10 @@ pub async fn untouched(app: App) -> ApiResult<Json<Arc<Untouched>>> {
 /// The mean frame of the newest stored trials of this rig in which the skin was untouched.
 async fn stored(app: &App) -> StoreResult<Option<Arc<Untouched>>> {
     let channels = app.serving.sensor().channels();
-    let label = app.facts.rig.config.label().as_str();
+    let label = app.facts.rig.config.label();
     for run in app.store.runs_with_trials().await?.into_iter().take(SEARCHED_RUNS) {
         let row = app.store.run(run).await?;
-        if row.is_none_or(|row| row.kind != RunKind::RealHex || row.label.as_str() != label) {
+        if row.is_none_or(|row| row.kind != RunKind::RealHex || row.label != label) {
             continue;
         }
         let ids = app.store.untouched_trials(run, UNTOUCHED_N, AVERAGED_TRIALS).await?;

@@ -117,7 +117,7 @@ fn is_of_this_skin(app: &App, run: &RunRow) -> bool {
     }
     let name = toml::from_str::<Named>(&run.sensor).map(|sensor| sensor.name);
     run.kind != RunKind::Imported
-        && run.label.as_str() == app.facts.rig.config.label().as_str()
+        && run.label == app.facts.rig.config.label()
         && name.is_ok_and(|name| name == app.serving.sensor().file.name)
 }
 

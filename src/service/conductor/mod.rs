@@ -29,6 +29,7 @@ use crate::state::{PausedWhy, StoredState};
 use crate::store::{LockRow, RunRow, Soundness, Store};
 use crate::suspension::Suspensions;
 
+mod bring_up;
 mod earlier;
 mod error;
 mod follow;

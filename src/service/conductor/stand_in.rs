@@ -66,6 +66,15 @@ pub(super) async fn driven(conductor: &Conductor, run: &RunRow) {
     conductor.inner.store.run_state(run.uid, running, Timestamp::now()).await.unwrap();
 }
 
+/// A run that the earlier process drove, and one that waited behind it.
+pub(super) async fn earlier(conductor: &Conductor) -> [RunRow; 2] {
+    let terms = Terms { auto_resume: Some(true), not_before: None };
+    let [run, next] = [queued_on(conductor, terms).await, queued_on(conductor, terms).await];
+    driven(conductor, &run).await;
+    conductor.inner.store.set_waiting(next.uid).await.unwrap();
+    [run, next]
+}
+
 /// What becomes of work that requests nothing of the campaign.
 pub(super) async fn unasked<T>(inbox: &mut Inbox, work: impl Future<Output = T>) -> T {
     tokio::select! {

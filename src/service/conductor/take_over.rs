@@ -13,23 +13,20 @@ use super::earlier::{RESTART_PAUSE, RESTART_TRIES};
 use super::restart::{AutoResume, TakenOver};
 use super::{Conductor, ConductorError, ConductorResult, locked, turn};
 use crate::campaign::bench::rig_state::RigState;
-use crate::campaign::bench::travel::HOMING_WAIT;
-use crate::campaign::shown::command::{Refusal, Request};
+use crate::campaign::shown::command::Request;
 use crate::campaign::spans::run_span;
 use crate::ids::RunUid;
 use crate::journal::error_chain;
-use crate::store::{RunKind, RunRow, StoreError};
+use crate::store::{RunRow, StoreError};
 
-/// Interval of polling the rig's state.
-const HOMING_POLL: Duration = Duration::from_millis(50);
 /// Pause before the runs that wait are read again.
 const READ_AGAIN: Duration = Duration::from_secs(10);
 
 /// What must not have changed since a run was taken over: then a person may be at the rig.
 #[derive(Debug, Clone, Copy)]
-struct Unattended {
+pub(super) struct Unattended {
     /// The last time at which the run did something; none if it was not driven.
-    since: Option<Timestamp>,
+    pub since: Option<Timestamp>,
     /// Signs of a person before it.
     signs: u64,
 }
@@ -236,19 +233,10 @@ impl Conductor {
         self.inner.campaign.status().run.map(|run| run.uid)
     }
 
-    /// Ends the homing for a run that is not driven any more.
-    pub(super) fn end_bringing_up(&self, run: RunUid) {
-        self.inner.brought_up.lock().take_if(|uid| *uid == run);
-    }
-
-    fn is_brought_up(&self, run: RunUid) -> bool {
-        *self.inner.brought_up.lock() == Some(run)
-    }
-
     /// Refuses a run if a person may be at the rig: one has operated it since the start of the service and has not
     /// started the run again, the computer was suspended since, there was a sign of a person, such as an abort of another
     /// run, or one has taken the operator lock.
-    async fn require_unattended(
+    pub(super) async fn require_unattended(
         &self,
         run: &RunRow,
         Unattended { since, signs }: Unattended,
@@ -258,7 +246,7 @@ impl Conductor {
         self.require_no_lock(run, since).await
     }
 
-    fn require_not_operated(&self, run: RunUid) -> ConductorResult<()> {
+    pub(super) fn require_not_operated(&self, run: RunUid) -> ConductorResult<()> {
         if !self.is_operated_since_start(run) {
             return Ok(());
         }
@@ -267,7 +255,12 @@ impl Conductor {
         Err(ConductorError::Forbidden(words.into()))
     }
 
-    async fn require_no_lock(&self, run: &RunRow, since: Option<Timestamp>) -> ConductorResult<()> {
+    /// Refuses a run if a person has taken the operator lock. `since`: as in `Unattended`.
+    pub(super) async fn require_no_lock(
+        &self,
+        run: &RunRow,
+        since: Option<Timestamp>,
+    ) -> ConductorResult<()> {
         let lock = self.inner.store.lock().await?;
         let (now, starters) = (Timestamp::now(), self.starters());
         let present = turn::Present { now, lock: lock.as_ref(), starters: &starters };
@@ -277,61 +270,11 @@ impl Conductor {
         };
         refusing.map_or(Ok(()), |lock| Err(locked(lock)))
     }
-
-    /// Opens the wires and homes the rig, as needed. A skin alone has nothing to home, and for a manual run nothing
-    /// moves: a person's hands may be on the skin. After a crash the first motion is z up, as in every homing.
-    async fn bring_up(&self, run: &RunRow, before: Unattended) -> ConductorResult<()> {
-        let campaign = &self.inner.campaign;
-        if campaign.status().rig.state == RigState::Disconnected {
-            campaign.ask(Request::Connect).await?;
-        }
-        let rig = campaign.status().rig;
-        if rig.is_ready() || run.kind == RunKind::RealRandom && rig.state == RigState::Disarmed {
-            return Ok(());
-        }
-        if rig.state == RigState::Disarmed {
-            // Opening the wires may have taken a while.
-            self.require_unattended(run, before).await?;
-            // Read after it: the run may have been aborted or held meanwhile.
-            if self.is_brought_up(run.uid) {
-                campaign.ask(Request::Home).await?;
-            }
-        }
-        let homed = async {
-            loop {
-                let rig = campaign.status().rig;
-                if !self.is_brought_up(run.uid) || self.is_operated_since_start(run.uid) {
-                    if rig.state == RigState::Disarmed {
-                        // Refused if nothing moves any more.
-                        let _ = campaign.ask(Request::Abort).await;
-                    }
-                    self.require_not_operated(run.uid)?;
-                    return Err(Refusal::State("the run was aborted or held".into()).into());
-                }
-                match rig.state {
-                    RigState::Homed => return Ok::<_, ConductorError>(()),
-                    RigState::Tripped => {
-                        let why = rig.trip.map_or_else(String::new, |t| t.detail);
-                        return Err(Refusal::State(format!("the rig tripped: {why}")).into());
-                    }
-                    RigState::Disconnected | RigState::Disarmed | RigState::Armed => {
-                        tokio::time::sleep(HOMING_POLL).await;
-                    }
-                }
-            }
-        };
-        tokio::time::timeout(HOMING_WAIT, homed).await.unwrap_or_else(|_| {
-            let limit_s = HOMING_WAIT.as_secs();
-            let words = format!("the rig was not homed within {limit_s} s: check its axes");
-            Err(Refusal::State(words).into())
-        })
-    }
 }
 
 #[cfg(test)]
 mod tests {
-    use super::super::Terms;
-    use super::super::stand_in::{asked, conductor, driven, granted, queued_on, unasked};
+    use super::super::stand_in::{asked, conductor, earlier, granted, unasked};
     use super::*;
     use crate::campaign::shown::command::Inbox;
     use crate::campaign::shown::show;
@@ -339,15 +282,6 @@ mod tests {
 
     /// Why a run is dropped.
     const RUN_ABORTED: &str = "a run was aborted";
-
-    /// A run that the earlier process drove, and one that waited behind it.
-    async fn earlier(conductor: &Conductor) -> [RunRow; 2] {
-        let terms = Terms { auto_resume: Some(true), not_before: None };
-        let [run, next] = [queued_on(conductor, terms).await, queued_on(conductor, terms).await];
-        driven(conductor, &run).await;
-        conductor.inner.store.set_waiting(next.uid).await.unwrap();
-        [run, next]
-    }
 
     /// A person aborts a run, and the campaign is told.
     async fn abort(conductor: &Conductor, run: &RunRow, inbox: &mut Inbox) {
@@ -479,22 +413,5 @@ mod tests {
             asked = homing => asked,
         };
         assert!(asked.is_err(), "{asked:?}");
-    }
-
-    #[tokio::test]
-    async fn the_homing_for_a_run_ends_if_a_person_operates_the_rig() {
-        let (conductor, mut inbox, _folder) = conductor().await;
-        let [run, _next] = earlier(&conductor).await;
-        inbox.status.send_modify(|status| status.rig.state = RigState::Disarmed);
-        let operates = async {
-            granted(&mut inbox, |request| matches!(request, Request::Home)).await;
-            conductor.note_operation();
-            granted(&mut inbox, |request| matches!(request, Request::Abort)).await;
-        };
-        let resumes = conductor.resume_after_restart(AutoResume::Allowed);
-        let (taken, ()) = tokio::join!(resumes, operates);
-        assert!(matches!(taken, Err(ConductorError::Forbidden(_))), "{taken:?}");
-        let tries = conductor.inner.store.events_of_kinds(run.uid, &["not_resumed"], 9);
-        assert_eq!(tries.await.unwrap().len(), 1, "it is not tried again");
     }
 }

@@ -2,7 +2,7 @@
 
 use sim_core::sensor::Sensor;
 
-use super::verdict::{AskedContact, Observed, Verdict, direction, judge};
+use super::verdict::{AskedContact, Verdict, direction, judge};
 use crate::campaign::shown::placement::VerdictKind;
 use crate::infer::answer::{FoundContact, Reading};
 use crate::record::PlacedContact;
@@ -47,7 +47,7 @@ fn shifted([x, y]: [f64; 2], dx: f64, dy: f64) -> [f64; 2] {
 }
 
 fn verdict(asked: &[AskedContact], reading: &Reading) -> Verdict {
-    judge(asked, Observed { reading, at_rest: true }, Some(&sensor()))
+    judge(asked, reading, true, Some(&sensor()))
 }
 
 /// Three weights far from each other.
@@ -142,7 +142,7 @@ fn what_is_not_certain_is_not_called_wrong() {
     let mut found = three();
     found[0].0 = shifted(found[0].0, 0.0, 40.0);
     let moved = felt(&found);
-    let kind = |at_rest| judge(&asked(&three()), Observed { reading: &moved, at_rest }, None).kind;
+    let kind = |at_rest| judge(&asked(&three()), &moved, at_rest, None).kind;
     assert_eq!(kind(true), VerdictKind::Wrong);
     assert_eq!(kind(false), VerdictKind::Unsure);
     let mut vague = moved.clone();

@@ -98,19 +98,14 @@ impl Verdict {
 /// A deviation: whether it is certain, and a sentence.
 type Finding = (bool, String);
 
-/// What is compared with the requested contacts.
-#[derive(Debug, Clone, Copy)]
-pub struct Observed<'a> {
-    /// The estimated contacts.
-    pub reading: &'a Reading,
-    /// Whether the skin was at rest.
-    pub at_rest: bool,
-}
-
 /// Compares the estimated contacts with the requested ones. A verdict is `unsure` if the skin is not at rest or
 /// the method does not explain the frame.
-pub fn judge(asked: &[AskedContact], observed: Observed<'_>, sensor: Option<&Sensor>) -> Verdict {
-    let Observed { reading, at_rest } = observed;
+pub fn judge(
+    asked: &[AskedContact],
+    reading: &Reading,
+    at_rest: bool,
+    sensor: Option<&Sensor>,
+) -> Verdict {
     let felt = &reading.contacts;
     let asked_mm: Vec<[f64; 2]> = asked.iter().map(AskedContact::at_mm).collect();
     let felt_mm: Vec<[f64; 2]> = felt.iter().map(|c| [c.x_mm, c.y_mm]).collect();

@@ -13,7 +13,7 @@ use tokio::time::{Instant, timeout};
 use utoipa::ToSchema;
 
 use super::calm::{Calm, Mean};
-use super::verdict::{AskedContact, Observed, Verdict, judge};
+use super::verdict::{AskedContact, Verdict, judge};
 use crate::campaign::run::run_state::PausedWhy;
 use crate::campaign::shown::command::Handle;
 use crate::campaign::shown::placement::VerdictKind;
@@ -318,8 +318,7 @@ impl<'a> Follower<'a> {
         };
         let Some(reading) = answered.readings.into_iter().next() else { return };
         let judged = &mut self.judged;
-        let observed = Observed { reading: &reading, at_rest };
-        judged.verdict = judge(&judged.asked, observed, self.sensor.as_deref());
+        judged.verdict = judge(&judged.asked, &reading, at_rest, self.sensor.as_deref());
         judged.felt = Some(Felt { method, model: answered.model, contacts: reading.contacts });
         judged.since = Some(since);
     }

@@ -411,17 +411,13 @@ fn pairing(trial: &TrialRow, twin: &Twin) -> Option<Pairing> {
 
 #[cfg(test)]
 mod tests {
-    use jiff::Timestamp;
-
     use super::*;
     use crate::campaign::bench::estop::StopSwitch;
     use crate::campaign::shown::command::channel;
     use crate::campaign::shown::show;
     use crate::clock::Clock;
-    use crate::ids::TrialKey;
-    use crate::journal::Journal;
-    use crate::record::{FrameQuality, FrameRecord, Label, TrialRecord, TrialScalars};
-    use crate::store::NewRun;
+    use crate::record::Label;
+    use crate::store::{ImportedTrial, NewRun};
 
     /// A run whose files cannot be used, with one trial.
     async fn unusable_run(store: &Store) -> RunUid {
@@ -446,26 +442,8 @@ mod tests {
             submitted_by: "ada".into(),
         };
         let run = store.create_run(new).await.unwrap().uid;
-        let (volts_per_count, counts) = (1e-3, vec![1; 784]);
-        let trial = TrialRecord {
-            key: TrialKey { configuration: 0, depth_index: 0 },
-            attempt: 1,
-            tips: 0,
-            depth_mm: None,
-            target: None,
-            reached: None,
-            arms: vec![],
-            placed: vec![],
-            placed_by: Some("Ada".into()),
-            frames: vec![FrameRecord { sequence: 1, device_time_us: 1, volts_per_count, counts }],
-            quality: FrameQuality::default(),
-            flags: vec![],
-            settle_ms: 1.0,
-            scalars: TrialScalars::default(),
-            started_at: Timestamp::now(),
-            measured_at: Timestamp::now(),
-        };
-        store.trial(run, &trial).await.unwrap();
+        let trial = ImportedTrial { voltages_v: vec![0.1; 784], ..ImportedTrial::default() };
+        store.import_trials(run, None, vec![trial]).await.unwrap();
         run
     }
 

@@ -5,7 +5,7 @@ use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use crate::core::columns::{Columns, time_text};
+use crate::core::columns::{Columns, row, time_text};
 use crate::core::{Store, StoreResult};
 use crate::ids::RunUid;
 
@@ -116,17 +116,9 @@ impl Store {
             .bind(limit),
         };
         let read = |c: &Columns<'_>| {
-            Ok(ActionRow {
-                id: c.get("id")?,
-                at: c.time("at")?,
-                run: c.word_or_none("uid")?,
-                action: c.get("action")?,
-                who: c.get("who")?,
-                key_id: c.get("key_id")?,
-                why: c.get("why")?,
-                accepted: c.get("accepted")?,
-                detail: c.get("detail")?,
-            })
+            Ok(row!(c, ActionRow { run: c.word_or_none("uid")? },
+                get: id, action, who, key_id, why, accepted, detail;
+                time: at))
         };
         self.rows(OPERATION, statement, read).await
     }

@@ -4,6 +4,7 @@
 
 use async_trait::async_trait;
 use jiff::Timestamp;
+use serde_json::Value;
 
 use crate::core::{Store, StoreError};
 use crate::ids::{RunUid, TrialId, TrialKey};
@@ -13,97 +14,38 @@ use crate::record::{
 };
 use crate::state::StateChange;
 
-#[async_trait]
-impl Journal for Store {
-    async fn trial(&self, run: RunUid, trial: &TrialRecord) -> Result<TrialId, JournalError> {
-        self.insert_trial(run, trial).await.map_err(StoreError::of("a trial"))
-    }
+/// Implements each method of the journal by one of the store. The text names the record in the error.
+macro_rules! journal {
+    ($($method:ident($($value:ident: $kind:ty),*) -> $made:ty = $own:ident, $what:literal;)*) => {
+        #[async_trait]
+        impl Journal for Store {
+            $(async fn $method(&self, $($value: $kind),*) -> Result<$made, JournalError> {
+                self.$own($($value),*).await.map_err(StoreError::of($what))
+            })*
+        }
+    };
+}
 
-    async fn attempt(&self, run: RunUid, attempt: &AttemptRecord) -> Result<(), JournalError> {
-        self.insert_attempt(run, attempt).await.map_err(StoreError::of("an attempt"))
-    }
-
-    async fn tare(&self, run: RunUid, tare: &TareRecord) -> Result<(), JournalError> {
-        self.insert_tare(run, tare).await.map_err(StoreError::of("a tare"))
-    }
-
-    async fn untouched(&self, run: RunUid, skin: &Untouched) -> Result<(), JournalError> {
-        self.insert_untouched(run, skin).await.map_err(StoreError::of("the untouched skin"))
-    }
-
-    async fn reference(&self, run: RunUid, press: &ReferenceRecord) -> Result<(), JournalError> {
-        self.insert_reference(run, press).await.map_err(StoreError::of("a reference press"))
-    }
-
-    async fn touch_off(&self, run: RunUid, found: &TouchOffRecord) -> Result<(), JournalError> {
-        self.insert_touch_off(run, found).await.map_err(StoreError::of("a touch-off"))
-    }
-
-    async fn skip(
-        &self,
-        run: RunUid,
-        configuration: u32,
-        reason: &str,
-        at: Timestamp,
-    ) -> Result<(), JournalError> {
-        self.insert_skip(run, configuration, reason, at).await.map_err(StoreError::of("a skip"))
-    }
-
-    async fn discard(&self, run: RunUid, key: TrialKey, reason: &str) -> Result<(), JournalError> {
-        self.discard_trial(run, key, reason).await.map_err(StoreError::of("a discarded trial"))
-    }
-
-    async fn progress(&self, run: RunUid) -> Result<Progress, JournalError> {
-        self.read_progress(run).await.map_err(StoreError::of("the progress of a run"))
-    }
-
-    async fn run_state(
-        &self,
-        run: RunUid,
-        change: StateChange,
-        at: Timestamp,
-    ) -> Result<(), JournalError> {
-        self.set_run_state(run, change, at).await.map_err(StoreError::of("the state of a run"))
-    }
-
-    async fn end_run(
-        &self,
-        run: RunUid,
-        status: ExitStatus,
-        reason: &str,
-        at: Timestamp,
-    ) -> Result<(), JournalError> {
-        self.finish_run(run, status, reason, at).await.map_err(StoreError::of("the end of a run"))
-    }
-
-    async fn event(
-        &self,
-        run: Option<RunUid>,
-        kind: &str,
-        data: serde_json::Value,
-        at: Timestamp,
-    ) -> Result<Event, JournalError> {
-        self.append_event_once(run, kind, data, at).await.map_err(StoreError::of("an event"))
-    }
-
-    async fn mounted(&self, mounting: &Mounting, at: Timestamp) -> Result<(), JournalError> {
-        self.insert_mounting(mounting, at)
-            .await
-            .map_err(StoreError::of("the number of mounted tips"))
-    }
-
-    async fn last_mounted(&self) -> Result<Option<Mounting>, JournalError> {
-        self.read_last_mounted().await.map_err(StoreError::of("the number of mounted tips"))
-    }
-
-    async fn lock_since(&self, at: Timestamp) -> Result<Option<String>, JournalError> {
-        let lock = self.lock().await.map_err(StoreError::of("the operator lock"))?;
-        Ok(lock
-            .filter(|lock| lock.since > at)
-            .map(|lock| format!("{}: {}", lock.holder, lock.note)))
-    }
-
-    async fn free_bytes(&self) -> Result<u64, JournalError> {
-        Store::free_bytes(self).await.map_err(StoreError::of("the free space"))
-    }
+journal! {
+    trial(run: RunUid, trial: &TrialRecord) -> TrialId = insert_trial, "a trial";
+    attempt(run: RunUid, attempt: &AttemptRecord) -> () = insert_attempt, "an attempt";
+    tare(run: RunUid, tare: &TareRecord) -> () = insert_tare, "a tare";
+    untouched(run: RunUid, skin: &Untouched) -> () = insert_untouched, "the untouched skin";
+    reference(run: RunUid, press: &ReferenceRecord) -> () = insert_reference, "a reference press";
+    touch_off(run: RunUid, found: &TouchOffRecord) -> () = insert_touch_off, "a touch-off";
+    skip(run: RunUid, configuration: u32, reason: &str, at: Timestamp) -> () =
+        insert_skip, "a skip";
+    discard(run: RunUid, key: TrialKey, reason: &str) -> () = discard_trial, "a discarded trial";
+    progress(run: RunUid) -> Progress = read_progress, "the progress of a run";
+    run_state(run: RunUid, change: StateChange, at: Timestamp) -> () =
+        set_run_state, "the state of a run";
+    end_run(run: RunUid, status: ExitStatus, reason: &str, at: Timestamp) -> () =
+        finish_run, "the end of a run";
+    event(run: Option<RunUid>, kind: &str, data: Value, at: Timestamp) -> Event =
+        append_event_once, "an event";
+    mounted(mounting: &Mounting, at: Timestamp) -> () =
+        insert_mounting, "the number of mounted tips";
+    last_mounted() -> Option<Mounting> = read_last_mounted, "the number of mounted tips";
+    lock_since(at: Timestamp) -> Option<String> = taken_since, "the operator lock";
+    free_bytes() -> u64 = free_bytes, "the free space";
 }

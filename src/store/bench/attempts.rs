@@ -6,7 +6,7 @@ use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use crate::core::columns::{Columns, time_text};
+use crate::core::columns::{Columns, row, time_text};
 use crate::core::{Store, StoreResult};
 use crate::ids::{RunUid, TrialKey};
 use crate::record::AttemptRecord;
@@ -84,10 +84,8 @@ impl Store {
         const OPERATION: &str = "reading skips";
         let scan_id = self.facts(run, OPERATION).await?.scan_id;
         let query = sqlx::query("SELECT * FROM skips WHERE run = ?1 ORDER BY configuration");
-        let read = |c: &Columns<'_>| {
-            let configuration = c.whole("configuration")?;
-            Ok(SkipRow { configuration, reason: c.get("reason")?, at: c.time("at")? })
-        };
+        let read =
+            |c: &Columns<'_>| Ok(row!(c, SkipRow {}, whole: configuration; get: reason; time: at));
         self.rows(OPERATION, query.bind(scan_id), read).await
     }
 
@@ -103,13 +101,8 @@ impl Store {
              WHERE run = ?1 ORDER BY id DESC LIMIT ?2",
         );
         let read = |c: &Columns<'_>| {
-            let (configuration, depth_index) = (c.whole("configuration")?, c.whole("depth_index")?);
-            Ok(AttemptRecord {
-                key: TrialKey { configuration, depth_index },
-                attempt: c.whole("attempt")?,
-                reason: c.get("reason")?,
-                at: c.time("at")?,
-            })
+            let key = row!(c, TrialKey {}, whole: configuration, depth_index);
+            Ok(row!(c, AttemptRecord { key }, whole: attempt; get: reason; time: at))
         };
         self.rows(OPERATION, query.bind(scan_id).bind(limit), read).await
     }

@@ -2,7 +2,7 @@
 //! Uses: `record`, `core::writer`, `table::checksum`, the inserts of `trials`. Never: a trial.
 
 use super::trials::{insert_many, insert_tips};
-use crate::core::columns::{Columns, counts_blob, time_text};
+use crate::core::columns::{Columns, counts_blob, row, time_text};
 use crate::core::{During, Store, StoreError, StoreResult};
 use crate::ids::RunUid;
 use crate::record::{Pose, ReferenceRecord, TareRecord, TouchOffRecord};
@@ -224,13 +224,9 @@ impl Store {
         let query =
             sqlx::query("SELECT * FROM touch_offs WHERE run = ?1 ORDER BY id").bind(scan_id);
         let read = |c: &Columns<'_>| {
-            Ok(TouchOffRecord {
-                tips: c.whole("tips")?,
-                surface_z_mm: c.get("surface_z_mm")?,
-                tip_offset_mm: c.json("tip_offsets_mm")?,
-                touches: c.json("touches_mm")?,
-                at: c.time("at")?,
-            })
+            let (tip_offset_mm, touches) = (c.json("tip_offsets_mm")?, c.json("touches_mm")?);
+            Ok(row!(c, TouchOffRecord { tip_offset_mm, touches },
+                whole: tips; get: surface_z_mm; time: at))
         };
         self.rows(OPERATION, query, read).await
     }

@@ -4,7 +4,7 @@
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use crate::core::columns::Columns;
+use crate::core::columns::{Columns, row};
 use crate::core::{During, Store, StoreResult};
 use crate::ids::{RunUid, TrialKey};
 use crate::journal::Progress;
@@ -87,9 +87,7 @@ impl Store {
              WHERE run = ?1 GROUP BY tips ORDER BY tips",
         )
         .bind(scan_id);
-        let row = |c: &Columns<'_>| {
-            Ok(SettingCount { tips: c.whole("tips")?, stored: c.whole("stored")? })
-        };
-        self.rows(OPERATION, query, row).await
+        let count = |c: &Columns<'_>| Ok(row!(c, SettingCount {}, whole: tips, stored));
+        self.rows(OPERATION, query, count).await
     }
 }

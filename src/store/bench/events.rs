@@ -3,7 +3,7 @@
 
 use jiff::Timestamp;
 
-use crate::core::columns::{Columns, time_text};
+use crate::core::columns::{Columns, row, time_text};
 use crate::core::writer::Writer;
 use crate::core::{Store, StoreError, StoreResult};
 use crate::ids::RunUid;
@@ -202,11 +202,5 @@ impl Store {
 
 /// Reads an event; `uid` is that of its run.
 fn event(c: &Columns<'_>) -> StoreResult<Event> {
-    Ok(Event {
-        seq: c.get("seq")?,
-        run: c.word_or_none("uid")?,
-        at: c.time("at")?,
-        kind: c.get("kind")?,
-        data: c.json("data")?,
-    })
+    Ok(row!(c, Event { run: c.word_or_none("uid")? }, get: seq, kind; time: at; json: data))
 }

@@ -3,10 +3,10 @@
 
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
-use sqlx::sqlite::{SqliteConnection, SqliteRow};
+use sqlx::sqlite::SqliteConnection;
 use utoipa::ToSchema;
 
-use crate::core::columns::Columns;
+use crate::core::columns::{Columns, row};
 use crate::core::keys::{KEYLESS, KEYLESS_SUFFIX};
 use crate::core::{During, Store, StoreError, StoreResult};
 use crate::plain::violated;
@@ -36,15 +36,17 @@ const NEWEST_HELD_UP: &str = "SELECT max(at) FROM (
             WHERE run = runs.scan_id ORDER BY id DESC LIMIT 1)
         FROM runs WHERE state NOT IN ('queued', 'ended', 'removed'))";
 
+/// The lock; no row if it is free.
+const HELD: &str = "SELECT * FROM operator_lock";
+
 impl LockRow {
     /// Whether the lock was taken without a key.
     pub fn is_keyless(&self) -> bool {
         self.holder == KEYLESS || self.holder.ends_with(KEYLESS_SUFFIX)
     }
 
-    fn read(row: &SqliteRow, operation: &'static str) -> StoreResult<Self> {
-        let c = Columns::of(row, operation);
-        Ok(Self { holder: c.get("holder")?, note: c.get("note")?, since: c.time("since")? })
+    fn read(c: &Columns<'_>) -> StoreResult<Self> {
+        Ok(row!(c, Self {}, get: holder, note; time: since))
     }
 }
 
@@ -86,7 +88,7 @@ impl Store {
             .fetch_one(connection)
             .await
             .during(OPERATION)?;
-            LockRow::read(&row, OPERATION)
+            LockRow::read(&Columns::of(&row, OPERATION))
         })
         .await
     }
@@ -110,8 +112,13 @@ impl Store {
     /// # Errors
     /// `Sql` or `Unreadable` if the read fails.
     pub async fn lock(&self) -> StoreResult<Option<LockRow>> {
-        const OPERATION: &str = "reading the operator lock";
-        held(&mut *self.read(OPERATION).await?, OPERATION).await
+        self.row("reading the operator lock", sqlx::query(HELD), LockRow::read).await
+    }
+
+    /// Returns who took the lock after a time, with the note; `None` if it was not taken.
+    pub(crate) async fn taken_since(&self, at: Timestamp) -> StoreResult<Option<String>> {
+        let lock = self.lock().await?.filter(|lock| lock.since > at);
+        Ok(lock.map(|lock| format!("{}: {}", lock.holder, lock.note)))
     }
 }
 
@@ -120,10 +127,6 @@ async fn held(
     connection: &mut SqliteConnection,
     operation: &'static str,
 ) -> StoreResult<Option<LockRow>> {
-    sqlx::query("SELECT * FROM operator_lock")
-        .fetch_optional(connection)
-        .await
-        .during(operation)?
-        .map(|row| LockRow::read(&row, operation))
-        .transpose()
+    let row = sqlx::query(HELD).fetch_optional(connection).await.during(operation)?;
+    row.map(|row| LockRow::read(&Columns::of(&row, operation))).transpose()
 }

@@ -3,7 +3,7 @@
 
 use jiff::Timestamp;
 
-use crate::core::columns::{Columns, time_text};
+use crate::core::columns::{Columns, row, time_text};
 use crate::core::{Store, StoreResult};
 use crate::journal::Mounting;
 
@@ -50,10 +50,7 @@ impl Store {
                      WHERE e.kind = 'state' AND r.kind = 'real-random'
                          AND e.seq > (SELECT max(seq) FROM events WHERE kind = 'tips'))",
         );
-        let read = |c: &Columns<'_>| {
-            let (tips, live_cells) = (c.whole("tips")?, c.whole("live_cells")?);
-            Ok(Mounting { tips, live_cells, who: c.get("who")? })
-        };
+        let read = |c: &Columns<'_>| Ok(row!(c, Mounting {}, whole: tips, live_cells; get: who));
         self.row("reading the number of mounted tips", query, read).await
     }
 }

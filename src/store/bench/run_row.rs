@@ -3,11 +3,12 @@
 
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
+use sqlx::AssertSqlSafe;
 use sqlx::sqlite::SqliteConnection;
 use utoipa::ToSchema;
 
 use super::plans;
-use crate::core::columns::{Columns, time_text};
+use crate::core::columns::{Columns, row, time_text};
 use crate::core::facts::{Label, RunKind};
 use crate::core::{During, StoreError, StoreResult};
 use crate::digest::sha256_hex;
@@ -152,41 +153,17 @@ impl RunRow {
     pub(crate) fn read(c: &Columns<'_>) -> StoreResult<Self> {
         let (kind, state) = (c.word("kind")?, c.word("state")?);
         let exit_status = c.word_or_none("exit_status")?;
-        Ok(Self {
-            uid: c.word("uid")?,
-            scan_id: c.get("scan_id")?,
-            experiment: c.get("experiment")?,
-            kind,
-            definition: c.get("definition")?,
-            definition_sha256: c.get("definition_sha256")?,
-            seed: c.whole_or_none("seed")?,
-            rig: c.get("rig")?,
-            rig_sha256: c.get("rig_sha256")?,
-            sensor: c.get("sensor")?,
-            sensor_sha256: c.get("sensor_sha256")?,
-            calibration_id: c.word_or_none("calibration_id")?,
-            label: c.word("label")?,
-            version: c.get("version")?,
-            git_commit: c.get("git_commit")?,
-            deadband_n: c.get("deadband_n")?,
-            tip_diameter_mm: c.get("tip_diameter_mm")?,
-            trials_planned: c.whole("trials_planned")?,
-            auto_resume: c.get("auto_resume")?,
-            not_before: c.time_or_none("not_before")?,
-            plan_sha256: c.get("plan_sha256")?,
-            state,
-            requested_state: c.word_or_none("requested_state")?,
-            paused_why: c.word_or_none("paused_why")?,
-            exit_status,
-            reason: c.get("reason")?,
-            queue_position: c.whole_or_none("queue_position")?,
-            waiting_since: c.time_or_none("waiting_since")?,
-            is_resumable: is_resumable(kind, state, exit_status),
-            created_at: c.time("created_at")?,
-            started_at: c.time_or_none("started_at")?,
-            ended_at: c.time_or_none("ended_at")?,
-            submitted_by: c.get("submitted_by")?,
-        })
+        let is_resumable = is_resumable(kind, state, exit_status);
+        Ok(row!(c, Self { kind, state, exit_status, is_resumable },
+            get: scan_id, experiment, definition, definition_sha256, rig, rig_sha256, sensor,
+                sensor_sha256, version, git_commit, deadband_n, tip_diameter_mm, auto_resume,
+                plan_sha256, reason, submitted_by;
+            whole: trials_planned;
+            whole_or_none: seed, queue_position;
+            word: uid, label;
+            word_or_none: calibration_id, requested_state, paused_why;
+            time: created_at;
+            time_or_none: not_before, waiting_since, started_at, ended_at))
     }
 }
 
@@ -208,19 +185,10 @@ fn is_resumable(kind: RunKind, state: StoredState, exit_status: Option<ExitStatu
     }
 }
 
-/// Inserts a run.
-macro_rules! inserting {
-    () => {
-        "INSERT INTO runs (uid, experiment, kind, definition, definition_sha256, seed, rig,
-             rig_sha256, sensor, sensor_sha256, calibration_id, label, version, git_commit,
-             deadband_n, tip_diameter_mm, trials_planned, auto_resume, state, queue_position,
-             created_at, submitted_by, plan_sha256, not_before)
-         VALUES (?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10, ?11, ?12, ?13, ?14, ?15, ?16, ?17, ?18,
-             ?19, CASE WHEN ?19 = 'queued'
-                  THEN (SELECT coalesce(max(queue_position), 0) + 1 FROM runs) END,
-             ?20, ?21, ?22, ?23)"
-    };
-}
+/// Columns of the inputs of a run, in the order of their parameters, from the fifth on.
+const INPUTS: &str = "experiment, kind, definition, definition_sha256, seed, rig, rig_sha256, \
+     sensor, sensor_sha256, calibration_id, label, version, git_commit, deadband_n, \
+     tip_diameter_mm, trials_planned, auto_resume, plan_sha256, not_before";
 
 /// Inserts a run, `Queued` at the end of the queue or `Idle`, and returns its row. `now` is its time of
 /// creation.
@@ -235,8 +203,7 @@ pub(crate) async fn insert(
     now: String,
     operation: &'static str,
 ) -> StoreResult<RunRow> {
-    let statement = concat!(inserting!(), " RETURNING *");
-    write(connection, statement, new, state, now, operation).await
+    write(connection, "", new, state, now, operation).await
 }
 
 /// Replaces the inputs of the queued run with the uid of `new`, and returns its row; number, place,
@@ -258,30 +225,21 @@ pub(crate) async fn replace(
             .await
             .during(operation)?;
     let earlier_plan = queued.ok_or(StoreError::NotQueued(uid))?;
-    let statement = concat!(
-        inserting!(),
-        " ON CONFLICT (uid) DO UPDATE SET experiment = excluded.experiment, kind = excluded.kind,
-             definition = excluded.definition, definition_sha256 = excluded.definition_sha256,
-             seed = excluded.seed, rig = excluded.rig, rig_sha256 = excluded.rig_sha256,
-             sensor = excluded.sensor, sensor_sha256 = excluded.sensor_sha256,
-             calibration_id = excluded.calibration_id, label = excluded.label,
-             version = excluded.version, git_commit = excluded.git_commit,
-             deadband_n = excluded.deadband_n, tip_diameter_mm = excluded.tip_diameter_mm,
-             trials_planned = excluded.trials_planned, auto_resume = excluded.auto_resume,
-             plan_sha256 = excluded.plan_sha256, not_before = excluded.not_before,
-             waiting_since = NULL
-         RETURNING *"
-    );
-    let row = write(&mut *connection, statement, new, StoredState::Queued, now, operation).await?;
+    let inputs: Vec<String> =
+        INPUTS.split(", ").map(|column| format!("{column} = excluded.{column}")).collect();
+    let inputs = inputs.join(", ");
+    let replacing = format!("ON CONFLICT (uid) DO UPDATE SET {inputs}, waiting_since = NULL");
+    let row = write(&mut *connection, &replacing, new, StoredState::Queued, now, operation).await?;
     if let Some(sha256) = earlier_plan {
         plans::discard(connection, &sha256, operation).await?;
     }
     Ok(row)
 }
 
+/// Inserts a run; `on_conflict` is what the statement does if its uid is stored.
 async fn write(
     connection: &mut SqliteConnection,
-    statement: &'static str,
+    on_conflict: &str,
     new: NewRun,
     state: StoredState,
     now: String,
@@ -299,8 +257,20 @@ async fn write(
         Some(plan) => Some(plans::keep(&mut *connection, plan, operation).await?),
         None => None,
     };
-    let row = sqlx::query(statement)
+    let values: Vec<String> = (5..).zip(INPUTS.split(", ")).map(|(n, _)| format!("?{n}")).collect();
+    let statement = format!(
+        "INSERT INTO runs (uid, state, queue_position, created_at, submitted_by, {INPUTS})
+         VALUES (?1, ?2, CASE WHEN ?2 = 'queued'
+                 THEN (SELECT coalesce(max(queue_position), 0) + 1 FROM runs) END,
+             ?3, ?4, {})
+         {on_conflict} RETURNING *",
+        values.join(", ")
+    );
+    let row = sqlx::query(AssertSqlSafe(statement))
         .bind(new.uid.to_string())
+        .bind(state.as_str())
+        .bind(now)
+        .bind(&new.submitted_by)
         .bind(&new.experiment)
         .bind(new.kind.as_str())
         .bind(&new.definition)
@@ -318,9 +288,6 @@ async fn write(
         .bind(new.tip_diameter_mm)
         .bind(planned)
         .bind(new.auto_resume)
-        .bind(state.as_str())
-        .bind(now)
-        .bind(&new.submitted_by)
         .bind(plan_sha256)
         .bind(new.not_before.map(time_text))
         .fetch_one(connection)

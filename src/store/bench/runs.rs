@@ -26,7 +26,10 @@ impl Store {
         let insert = async move |c: &mut SqliteConnection| {
             run_row::insert(c, new, StoredState::Idle, now, OPERATION).await
         };
-        Ok(self.keep_facts(self.write(OPERATION, insert).await?))
+        let row = self.write(OPERATION, insert).await?;
+        let (scan_id, kind, deadband_n) = (row.scan_id, row.kind, row.deadband_n);
+        self.keep(row.uid, RunFacts { scan_id, kind, deadband_n });
+        Ok(row)
     }
 
     /// Returns a run by its id; `None` if it is not stored.
@@ -131,12 +134,5 @@ impl Store {
              ORDER BY scan_id",
         );
         self.rows("reading open runs", query, RunRow::read).await
-    }
-
-    /// Caches the facts of a run that was stored, and returns its row.
-    fn keep_facts(&self, row: RunRow) -> RunRow {
-        let (scan_id, kind, deadband_n) = (row.scan_id, row.kind, row.deadband_n);
-        self.keep(row.uid, RunFacts { scan_id, kind, deadband_n });
-        row
     }
 }

@@ -19,57 +19,6 @@ const ROWS_AT_ONCE: usize = 100;
 
 const STORING_TRIAL: &str = "storing a trial";
 
-/// A checked trial with what its columns hold in addition.
-struct Entry {
-    scan_id: i64,
-    record: TrialRecord,
-    placed: Vec<Contact>,
-    voltages_v: Vec<f32>,
-    contact_count: u8,
-    max_force_n: Option<f64>,
-}
-
-impl Entry {
-    /// Checks a trial and computes its columns.
-    ///
-    /// # Errors
-    /// `Refused` if it has no frames, frames of different lengths, a number that is not finite, or more
-    /// than six contacts.
-    fn new(facts: RunFacts, record: TrialRecord) -> StoreResult<Self> {
-        check(&record)?;
-        let forces = record.arms.iter().map(|a| a.force_n);
-        let contacts = match facts.kind {
-            RunKind::RealHex => forces.clone().filter(|f| *f >= facts.deadband_n).count(),
-            RunKind::RealRandom | RunKind::Imported => record.placed.len(),
-        };
-        let max_force_n = forces.chain(record.placed.iter().map(|p| p.force_n)).reduce(f64::max);
-        let contact_count = u8::try_from(contacts)
-            .ok()
-            .filter(|n| usize::from(*n) <= CONTACTS_MAX)
-            .ok_or_else(|| refused("the number of contacts", "must be at most 6"))?;
-        Ok(Self {
-            scan_id: facts.scan_id,
-            placed: record.placed.iter().map(Contact::from).collect(),
-            voltages_v: record.mean_voltages_v(),
-            record,
-            contact_count,
-            max_force_n,
-        })
-    }
-
-    /// Inserts the trial, unless its key is stored. Returns the id of the stored trial.
-    async fn insert(&self, connection: &mut SqliteConnection) -> StoreResult<TrialId> {
-        let Self { scan_id, record, placed, .. } = self;
-        let numbers = Numbers::of_record(record, placed, self.contact_count, self.max_force_n);
-        let frames = Frames { mean_v: &self.voltages_v, raw: &record.frames };
-        if let Some(id) = insert(connection, *scan_id, &numbers, frames, STORING_TRIAL).await? {
-            return Ok(id);
-        }
-        let stored = id_of_key(connection, *scan_id, record.key, STORING_TRIAL).await?;
-        stored.ok_or_else(|| refused("its key", "is neither new nor stored"))
-    }
-}
-
 impl Store {
     /// Stores a trial and returns its id. A stored key is not changed.
     ///
@@ -82,17 +31,29 @@ impl Store {
         trial: &TrialRecord,
     ) -> StoreResult<TrialId> {
         let facts = self.facts_to_write(run, STORING_TRIAL).await?;
-        let entry = Entry::new(facts, trial.clone())?;
-        let key = trial.key;
+        check(trial)?;
+        let contacts = contact_count(facts, trial)?;
+        let forces = trial.arms.iter().map(|a| a.force_n);
+        let max_force_n = forces.chain(trial.placed.iter().map(|p| p.force_n)).reduce(f64::max);
+        let placed: Vec<Contact> = trial.placed.iter().map(Contact::from).collect();
+        let (record, mean_v) = (trial.clone(), trial.mean_voltages_v());
+        let (scan_id, key) = (facts.scan_id, trial.key);
         self.inner
             .writer
             .patient()
             .run_and_settle(
                 STORING_TRIAL,
-                async move |connection| entry.insert(connection).await,
                 async move |connection| {
-                    id_of_key(connection, facts.scan_id, key, STORING_TRIAL).await
+                    let numbers = Numbers::of_record(&record, &placed, contacts, max_force_n);
+                    let (mean_v, raw) = (&mean_v, &record.frames);
+                    let new = insert(connection, scan_id, &numbers, mean_v, raw, STORING_TRIAL);
+                    if let Some(id) = new.await? {
+                        return Ok(id);
+                    }
+                    let stored = id_of_key(connection, scan_id, key, STORING_TRIAL).await?;
+                    stored.ok_or_else(|| refused("its key", "is neither new nor stored"))
                 },
+                async move |connection| id_of_key(connection, scan_id, key, STORING_TRIAL).await,
             )
             .await
     }
@@ -131,6 +92,21 @@ fn check(record: &TrialRecord) -> StoreResult<()> {
     Ok(())
 }
 
+/// Returns the number of contacts of a trial.
+///
+/// # Errors
+/// `Refused` if there are more than six.
+fn contact_count(facts: RunFacts, record: &TrialRecord) -> StoreResult<u8> {
+    let contacts = match facts.kind {
+        RunKind::RealHex => record.arms.iter().filter(|a| a.force_n >= facts.deadband_n).count(),
+        RunKind::RealRandom | RunKind::Imported => record.placed.len(),
+    };
+    u8::try_from(contacts)
+        .ok()
+        .filter(|n| usize::from(*n) <= CONTACTS_MAX)
+        .ok_or_else(|| refused("the number of contacts", "must be at most 6"))
+}
+
 /// Returns the id of the trial with this key; `None` if it is not stored.
 pub(crate) async fn id_of_key(
     connection: &mut SqliteConnection,
@@ -150,28 +126,20 @@ pub(crate) async fn id_of_key(
     Ok(id.map(TrialId))
 }
 
-/// The frames of a trial.
-#[derive(Clone, Copy)]
-pub(crate) struct Frames<'a> {
-    /// Their mean, V, injection-major.
-    pub(crate) mean_v: &'a [f32],
-    /// The raw frames.
-    pub(crate) raw: &'a [FrameRecord],
-}
-
-/// Inserts a trial of a run, measured or imported, with its tips, placed contacts and frames. Returns its id; `None`
-/// if its key is stored, and then inserts nothing.
+/// Inserts a trial of a run, measured or imported, with its tips, placed contacts and frames: their mean, V,
+/// injection-major, and the raw ones. Returns its id; `None` if its key is stored, and then inserts nothing.
 pub(crate) async fn insert(
     connection: &mut SqliteConnection,
     scan_id: i64,
     numbers: &Numbers<'_>,
-    frames: Frames<'_>,
+    mean_v: &[f32],
+    frames: &[FrameRecord],
     operation: &'static str,
 ) -> StoreResult<Option<TrialId>> {
     let Some(id) = insert_row(connection, scan_id, numbers, operation).await? else {
         return Ok(None);
     };
-    insert_mean(connection, id, frames.mean_v, operation).await?;
+    insert_mean(connection, id, mean_v, operation).await?;
     let tips = "INSERT INTO trial_tips (trial, arm, x_mm, y_mm, force_n, cell_v, tare_v) ";
     insert_tips(connection, tips, id, numbers.arms, operation).await?;
     let placed = "INSERT INTO placed_contacts (trial, n, x_mm, y_mm, force_n, diameter_mm) ";
@@ -186,7 +154,7 @@ pub(crate) async fn insert(
     .await?;
     let raw =
         "INSERT INTO frames (trial, n, sequence, device_time_us, volts_per_count, counts, crc32) ";
-    insert_many(connection, raw, frames.raw, operation, |mut row, n, f| {
+    insert_many(connection, raw, frames, operation, |mut row, n, f| {
         row.push_bind(id)
             .push_bind(n)
             .push_bind(f.sequence)

@@ -172,6 +172,14 @@ impl Statement {
         self.push("?")
     }
 
+    /// Appends what `push` appends for each value, separated by `between`.
+    pub(crate) fn each<T>(&mut self, values: &[T], between: &str, push: impl Fn(&mut Self, &T)) {
+        for (n, value) in values.iter().enumerate() {
+            self.push(if n == 0 { "" } else { between });
+            push(self, value);
+        }
+    }
+
     /// Returns what `read` makes of each row.
     ///
     /// # Errors

@@ -222,22 +222,24 @@ impl<'r> Columns<'r> {
 
     /// Returns the counts of a frame, injection-major.
     pub(crate) fn counts(&self, column: &'static str) -> StoreResult<Vec<i16>> {
-        let bytes: &[u8] = self.get(column)?;
-        let (values, rest) = bytes.as_chunks::<2>();
-        if rest.is_empty() {
-            Ok(values.iter().map(|b| i16::from_le_bytes(*b)).collect())
-        } else {
-            Err(self.unreadable(column, format!("{} bytes", bytes.len())))
-        }
+        self.numbers(column, self.get(column)?, i16::from_le_bytes)
     }
 
     /// Returns the voltages, V, injection-major, that a column holds as `bytes`.
     pub(crate) fn volts(&self, column: &'static str, bytes: &[u8]) -> StoreResult<Vec<f32>> {
-        let (values, rest) = bytes.as_chunks::<4>();
-        if rest.is_empty() {
-            Ok(values.iter().map(|b| f32::from_le_bytes(*b)).collect())
-        } else {
-            Err(self.unreadable(column, format!("{} bytes", bytes.len())))
+        self.numbers(column, bytes, f32::from_le_bytes)
+    }
+
+    /// Returns the numbers that a column holds as `bytes`, `N` of each.
+    fn numbers<T, const N: usize>(
+        &self,
+        column: &'static str,
+        bytes: &[u8],
+        number: impl Fn([u8; N]) -> T,
+    ) -> StoreResult<Vec<T>> {
+        match bytes.as_chunks() {
+            (values, []) => Ok(values.iter().map(|bytes| number(*bytes)).collect()),
+            _ => Err(self.unreadable(column, format!("{} bytes", bytes.len()))),
         }
     }
 
@@ -246,6 +248,15 @@ impl<'r> Columns<'r> {
         StoreError::Unreadable { operation: self.operation, column, value: value.to_string() }
     }
 }
+
+/// Returns a struct whose fields are the columns of their names: `row!(c, Name { stated }, method: fields; ..)`. The
+/// method of [`Columns`] before a colon reads the fields after it; all others are stated in the braces.
+macro_rules! row {
+    ($c:ident, $row:ident { $($stated:tt)* }, $($read:ident: $($field:ident),+);+) => {
+        $row { $($($field: $c.$read(stringify!($field))?,)+)+ $($stated)* }
+    };
+}
+pub(crate) use row;
 
 /// Returns the value of an enum from its serde name; `None` for another word.
 pub(crate) fn word<T: serde::de::DeserializeOwned>(text: &str) -> Option<T> {

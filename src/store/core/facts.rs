@@ -6,7 +6,7 @@ use sqlx::sqlite::SqliteConnection;
 use strum::IntoStaticStr;
 use utoipa::ToSchema;
 
-use super::columns::Columns;
+use super::columns::{Columns, row};
 use super::error::{During, StoreError, StoreResult};
 use crate::ids::RunUid;
 pub use crate::record::Label;
@@ -58,11 +58,7 @@ impl RunFacts {
         .during(operation)?
         .ok_or(StoreError::NoSuchRun(run))?;
         let columns = Columns::of(&row, operation);
-        let facts = Self {
-            scan_id: columns.get("scan_id")?,
-            kind: columns.word("kind")?,
-            deadband_n: columns.get("deadband_n")?,
-        };
+        let facts = row!(columns, Self {}, get: scan_id, deadband_n; word: kind);
         Ok((facts, columns.get("is_queued")?))
     }
 }

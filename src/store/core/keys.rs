@@ -18,7 +18,7 @@ use tokio::sync::watch;
 use tracing::Instrument;
 use utoipa::ToSchema;
 
-use super::columns::{Columns, time_text};
+use super::columns::{Columns, row, time_text};
 use super::{During, Store, StoreError, StoreResult, once};
 use crate::digest::sha256_hex;
 use crate::journal::error_chain;
@@ -97,14 +97,8 @@ pub struct KeyRow {
 
 impl KeyRow {
     fn read(c: &Columns<'_>) -> StoreResult<Self> {
-        Ok(Self {
-            id: c.get("id")?,
-            name: c.get("name")?,
-            role: c.word("role")?,
-            created_at: c.time("created_at")?,
-            last_used_at: c.time_or_none("last_used_at")?,
-            revoked_at: c.time_or_none("revoked_at")?,
-        })
+        Ok(row!(c, Self {},
+            get: id, name; word: role; time: created_at; time_or_none: last_used_at, revoked_at))
     }
 }
 

@@ -5,7 +5,7 @@
 use jiff::Timestamp;
 use sqlx::sqlite::{SqliteConnection, SqliteRow};
 
-use super::columns::Columns;
+use super::columns::{Columns, row};
 use super::{During, Store, StoreResult};
 
 /// Removes all requests of the caller `?1` except the newest `?2`.
@@ -55,15 +55,12 @@ impl OnceRow {
     fn read(row: &SqliteRow, operation: &'static str) -> StoreResult<Self> {
         let c = Columns::of(row, operation);
         let response = match c.get("status")? {
-            Some(status) => Some(OnceResponse {
-                status,
-                location: c.get("location")?,
-                content_type: c.get("content_type")?,
-                body: c.get("body")?,
-            }),
+            Some(status) => {
+                Some(row!(c, OnceResponse { status }, get: location, content_type, body))
+            }
             None => None,
         };
-        Ok(Self { request: c.get("request")?, began_at: c.time("began_at")?, response })
+        Ok(row!(c, Self { response }, get: request; time: began_at))
     }
 }
 

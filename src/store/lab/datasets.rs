@@ -6,7 +6,7 @@ use std::collections::BTreeMap;
 use jiff::Timestamp;
 use serde_json::Value;
 
-use crate::core::columns::{Columns, time_text};
+use crate::core::columns::{Columns, row, time_text};
 use crate::core::{During, Store, StoreResult};
 use crate::ids::{DatasetId, RunUid};
 
@@ -35,17 +35,12 @@ pub struct DatasetRow {
 
 impl DatasetRow {
     fn read(c: &Columns<'_>) -> StoreResult<Self> {
-        Ok(Self {
-            id: c.word("id")?,
-            name: c.get("name")?,
-            definition: c.json("definition")?,
-            rows: c.whole("rows")?,
-            bytes: c.whole("bytes")?,
-            sha256: c.get("sha256")?,
-            report: c.json("report")?,
-            lineage: c.json("lineage")?,
-            created_at: c.time("created_at")?,
-        })
+        Ok(row!(c, Self {},
+            word: id;
+            get: name, sha256;
+            json: definition, report, lineage;
+            whole: rows, bytes;
+            time: created_at))
     }
 }
 
@@ -86,14 +81,7 @@ impl Store {
         )
         .bind(scan_id);
         let read = |c: &Columns<'_>| {
-            Ok(RunExtent {
-                trials: c.get("trials")?,
-                last: c.get("last")?,
-                taken_back: c.get("taken_back")?,
-                twins: c.get("twins")?,
-                newest: c.get("newest")?,
-                model: c.get("model")?,
-            })
+            Ok(row!(c, RunExtent {}, get: trials, last, taken_back, twins, newest, model))
         };
         self.one(OPERATION, query, read).await
     }

@@ -1,7 +1,7 @@
 //! Depth and largest force of each trial of a run.
 //! Uses: `core`. Never: a statistic of them.
 
-use crate::core::columns::Columns;
+use crate::core::columns::{Columns, row};
 use crate::core::{Store, StoreResult};
 use crate::ids::RunUid;
 
@@ -30,8 +30,8 @@ impl Store {
         )
         .bind(scan_id);
         let force = |c: &Columns<'_>| {
-            let (tips, depth_mm) = (c.whole("tips")?, c.get("depth_mm")?);
-            Ok(DepthForce { tips, depth_mm, force_n: c.get("max_force_n")? })
+            let force_n = c.get("max_force_n")?;
+            Ok(row!(c, DepthForce { force_n }, whole: tips; get: depth_mm))
         };
         self.rows(OPERATION, query, force).await
     }

@@ -10,7 +10,7 @@ use sqlx::sqlite::SqliteConnection;
 
 use super::twins::{self, Twin, TwinModelId, TwinOutcome};
 use crate::bench::run_row::{self, NewRun, RunRow};
-use crate::bench::trials::{self, Frames};
+use crate::bench::trials;
 use crate::core::columns::{Columns, time_text};
 use crate::core::facts::RunKind;
 use crate::core::{During, Store, StoreError, StoreResult};
@@ -195,40 +195,38 @@ impl Store {
     pub async fn discard_import(&self, run: RunUid) -> StoreResult<()> {
         const OPERATION: &str = "removing a failed import";
         let scan_id = self.facts(run, OPERATION).await?.scan_id;
-        loop {
-            let query = sqlx::query(
-                "DELETE FROM trials WHERE id IN
-                     (SELECT t.id FROM trials t JOIN runs r ON r.scan_id = t.run
-                      WHERE t.run = ?1 AND r.kind = ?2 AND r.state = ?3 LIMIT ?4)",
-            )
-            .bind(scan_id)
-            .bind(RunKind::Imported.as_str())
-            .bind(INCOMPLETE.as_str())
-            .bind(REMOVED_AT_ONCE);
-            if self.inner.writer.execute(OPERATION, query).await? == 0 {
-                return Ok(());
-            }
-        }
+        self.remove_incomplete(Some(scan_id), OPERATION).await.map(drop)
     }
 
-    /// Removes the trials of incomplete imports, and returns their number. Call it at the start. However many they are, no
-    /// transaction is late.
+    /// Removes the trials of incomplete imports, and returns their number. Call it at the start.
     ///
     /// # Errors
     /// `Sql`, `Late` or `Closed` if a write fails: then the next start removes the rest.
     pub async fn sweep_imports(&self) -> StoreResult<u64> {
+        self.remove_incomplete(None, "removing an incomplete import").await
+    }
+
+    /// Removes the trials of incomplete imports, of one run or of all, and returns their number. However many they are,
+    /// no transaction is late.
+    async fn remove_incomplete(
+        &self,
+        scan_id: Option<i64>,
+        operation: &'static str,
+    ) -> StoreResult<u64> {
         let mut removed = 0;
         loop {
             // The few runs first: not each stored trial.
             let query = sqlx::query(
                 "DELETE FROM trials WHERE id IN
                      (SELECT t.id FROM runs r CROSS JOIN trials t ON t.run = r.scan_id
-                      WHERE r.kind = ?1 AND r.state = ?2 LIMIT ?3)",
+                      WHERE r.kind = ?1 AND r.state = ?2 AND r.scan_id = coalesce(?3, r.scan_id)
+                      LIMIT ?4)",
             )
             .bind(RunKind::Imported.as_str())
             .bind(INCOMPLETE.as_str())
+            .bind(scan_id)
             .bind(REMOVED_AT_ONCE);
-            match self.inner.writer.execute("removing an incomplete import", query).await? {
+            match self.inner.writer.execute(operation, query).await? {
                 0 => return Ok(removed),
                 trials => removed += trials,
             }
@@ -282,8 +280,9 @@ async fn insert(
         imported_tag: trial.tag.as_deref(),
     };
     let raw = as_counts(&trial.frames_v);
-    let frames = Frames { mean_v: &trial.voltages_v, raw: &raw };
-    let inserted = trials::insert(connection, scan_id, &numbers, frames, STORING_IMPORT).await?;
+    let mean_v = &trial.voltages_v;
+    let inserted = trials::insert(connection, scan_id, &numbers, mean_v, &raw, STORING_IMPORT);
+    let inserted = inserted.await?;
     let id = inserted.ok_or_else(|| refused("its key", "must be new"))?;
     let (Some(model), Some(frame), Some((rmse_v, fvu))) = (model, &trial.sim_voltages_v, trial.fit)
     else {

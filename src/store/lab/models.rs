@@ -5,7 +5,7 @@ use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use crate::core::columns::{Columns, time_text};
+use crate::core::columns::{Columns, row, time_text};
 use crate::core::{Store, StoreResult};
 use crate::ids::{DatasetId, ModelId, PromotedId};
 
@@ -26,13 +26,7 @@ pub struct ModelRow {
 
 impl ModelRow {
     fn read(c: &Columns<'_>) -> StoreResult<Self> {
-        Ok(Self {
-            id: c.word("id")?,
-            name: c.get("name")?,
-            task: c.get("task")?,
-            manifest: c.get("manifest")?,
-            created_at: c.time("created_at")?,
-        })
+        Ok(row!(c, Self {}, word: id; get: name, task, manifest; time: created_at))
     }
 }
 
@@ -75,15 +69,8 @@ pub struct NewPromotion<'a> {
 
 impl PromotionRow {
     fn read(c: &Columns<'_>) -> StoreResult<Self> {
-        Ok(Self {
-            slot: c.get("slot")?,
-            sensor: c.get("sensor")?,
-            what: c.word_or_none("what")?,
-            who: c.get("who")?,
-            why: c.get("why")?,
-            at: c.time("at")?,
-            rolled_back: c.get("rolled_back")?,
-        })
+        Ok(row!(c, Self {},
+            get: slot, sensor, who, why, rolled_back; word_or_none: what; time: at))
     }
 }
 

@@ -1,21 +1,20 @@
 //! Tasks (exports, trainings, evaluations): their requests, states and results.
 //! Uses: `core::writer`. Never: the meaning of a request or of a result.
 
-use std::fmt;
-
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
-use strum::VariantArray;
+use strum::{Display, VariantArray};
 use utoipa::ToSchema;
 
-use crate::core::columns::Columns;
+use crate::core::columns::{Columns, row};
 use crate::core::{Store, StoreResult};
 use crate::ids::{DatasetId, ModelId, TaskId};
 
 /// Kind of a task.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema, Display)]
 #[serde(rename_all = "lowercase")]
+#[strum(serialize_all = "lowercase")]
 pub enum TaskKind {
     /// Writing of a dataset in a requested format.
     Export,
@@ -39,16 +38,12 @@ impl TaskKind {
     }
 }
 
-/// The kind as it is stored and shown: its serde name.
-impl fmt::Display for TaskKind {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        self.serialize(f)
-    }
-}
-
 /// State of a task.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema, VariantArray)]
+#[derive(
+    Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema, Display, VariantArray,
+)]
 #[serde(rename_all = "lowercase")]
+#[strum(serialize_all = "lowercase")]
 pub enum TaskState {
     /// It waits for earlier tasks of its queue.
     Waiting,
@@ -60,13 +55,6 @@ pub enum TaskState {
     Stopped,
     /// It ended with an error, which is stored.
     Failed,
-}
-
-/// The state as it is stored and shown: its serde name.
-impl fmt::Display for TaskState {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        self.serialize(f)
-    }
 }
 
 /// A stored task.
@@ -103,19 +91,14 @@ pub struct TaskRow {
 impl TaskRow {
     fn read(c: &Columns<'_>) -> StoreResult<Self> {
         let result: Option<&str> = c.get("result")?;
-        Ok(Self {
-            id: c.word("id")?,
-            kind: c.word("kind")?,
-            request: c.json("request")?,
-            state: c.word("state")?,
-            dataset: c.word_or_none("dataset")?,
-            result: result.map(|_| c.json("result")).transpose()?,
-            error: c.get("error")?,
-            asked_by: c.get("asked_by")?,
-            created_at: c.time("created_at")?,
-            started_at: c.time_or_none("started_at")?,
-            finished_at: c.time_or_none("finished_at")?,
-        })
+        let result = result.map(|_| c.json("result")).transpose()?;
+        Ok(row!(c, Self { result },
+            get: error, asked_by;
+            json: request;
+            word: id, kind, state;
+            word_or_none: dataset;
+            time: created_at;
+            time_or_none: started_at, finished_at))
     }
 }
 

@@ -8,7 +8,7 @@ use sqlx::sqlite::SqliteConnection;
 use utoipa::ToSchema;
 
 use crate::core::bulk::Statement;
-use crate::core::columns::{Columns, volts_blob};
+use crate::core::columns::{Columns, row, volts_blob};
 use crate::core::{During, Store, StoreResult};
 use crate::ids::{CalibrationId, RunUid, TrialId};
 use crate::table::assemble::rows_of_ids;
@@ -136,13 +136,8 @@ impl Store {
     pub async fn twin_model_of(&self, hash: &str) -> StoreResult<Option<NewTwinModel>> {
         let query = sqlx::query("SELECT * FROM twin_models WHERE hash = ?1").bind(hash);
         let read = |c: &Columns<'_>| {
-            Ok(NewTwinModel {
-                hash: c.get("hash")?,
-                sensor_sha256: c.get("sensor_sha256")?,
-                calibration_id: c.word_or_none("calibration_id")?,
-                version: c.get("version")?,
-                git_commit: c.get("git_commit")?,
-            })
+            Ok(row!(c, NewTwinModel {},
+                get: hash, sensor_sha256, version, git_commit; word_or_none: calibration_id))
         };
         self.row("reading a model", query, read).await
     }
@@ -217,8 +212,7 @@ impl Store {
                     TwinOutcome::Frame { voltages_v, rmse_v: c.get("rmse_v")?, fvu: c.get("fvu")? }
                 }
                 None => {
-                    let failure: Option<String> = c.get("failure")?;
-                    TwinOutcome::Failure(failure.unwrap_or_default())
+                    TwinOutcome::Failure(c.get::<Option<String>>("failure")?.unwrap_or_default())
                 }
             };
             Ok(Twin { trial, outcome })
@@ -241,11 +235,8 @@ impl Store {
         )
         .bind(scan_id)
         .bind(model.0);
-        let read = |c: &Columns<'_>| {
-            let (twins, failures) = (c.whole("twins")?, c.whole("failures")?);
-            Ok(TwinCount { trials: c.whole("trials")?, twins, failures })
-        };
-        self.one(OPERATION, query, read).await
+        let count = |c: &Columns<'_>| Ok(row!(c, TwinCount {}, whole: trials, twins, failures));
+        self.one(OPERATION, query, count).await
     }
 
     /// Returns the ids of the runs with trials, newest first, except of incomplete imports.
@@ -282,16 +273,9 @@ impl Store {
         .bind(scan_id);
         let read = |c: &Columns<'_>| {
             let (x_mm, y_mm): (Option<f64>, Option<f64>) = (c.get("x_mm")?, c.get("y_mm")?);
-            Ok(Fit {
-                trial: TrialId(c.get("id")?),
-                tips: c.whole("tips")?,
-                contact_count: c.whole("contact_count")?,
-                max_force_n: c.get("max_force_n")?,
-                single_tip_mm: x_mm.zip(y_mm).map(|(x, y)| [x, y]),
-                flagged: c.get("flagged")?,
-                rmse_v: c.get("rmse_v")?,
-                fvu: c.get("fvu")?,
-            })
+            let single_tip_mm = x_mm.zip(y_mm).map(|(x, y)| [x, y]);
+            Ok(row!(c, Fit { trial: id(c)?, single_tip_mm },
+                whole: tips, contact_count; get: max_force_n, flagged, rmse_v, fvu))
         };
         self.rows(OPERATION, query, read).await
     }

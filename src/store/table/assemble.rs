@@ -9,7 +9,7 @@ use rusqlite::Connection;
 use super::checksum::{self, Numbers};
 use super::trial_row::{Contact, TipsAsContacts, TrialRow};
 use crate::core::bulk::Statement;
-use crate::core::columns::Columns;
+use crate::core::columns::{Columns, row};
 use crate::core::facts::{Label, RunKind};
 use crate::core::{StoreError, StoreResult};
 use crate::ids::{RunUid, TrialId};
@@ -17,14 +17,7 @@ use crate::record::{ARMS, ArmReading, FrameQuality, Pose, TrialScalars};
 
 /// Returns the reading of an attached tip from its columns.
 pub(crate) fn arm(c: &Columns<'_>) -> StoreResult<ArmReading> {
-    Ok(ArmReading {
-        arm: c.whole("arm")?,
-        x_mm: c.get("x_mm")?,
-        y_mm: c.get("y_mm")?,
-        force_n: c.get("force_n")?,
-        cell_v: c.get("cell_v")?,
-        tare_v: c.get("tare_v")?,
-    })
+    Ok(row!(c, ArmReading {}, whole: arm; get: x_mm, y_mm, force_n, cell_v, tare_v))
 }
 
 /// Returns trials by their ids, in ascending order of the ids, with the columns of `select`. Missing
@@ -44,9 +37,7 @@ pub(crate) fn rows_of_ids(
     let wanted = format!("{wanted:?}");
     let mut tips = Belonging::read(connection, "trial_tips", &wanted, operation, arm)?;
     let mut placed = Belonging::read(connection, "placed_contacts", &wanted, operation, |c| {
-        let (x_mm, y_mm) = (c.get("x_mm")?, c.get("y_mm")?);
-        let (force_n, diameter_mm) = (c.get("force_n")?, c.get("diameter_mm")?);
-        Ok(Contact { x_mm, y_mm, force_n, diameter_mm })
+        Ok(row!(c, Contact {}, get: x_mm, y_mm, force_n, diameter_mm))
     })?;
     let mut query = Statement::new(select);
     query.push(" WHERE t.id IN (SELECT value FROM json_each(").bind(wanted);
@@ -84,15 +75,8 @@ impl OfRun {
         );
         query.bind(scan_id);
         let mut found = query.rows(connection, operation, |c| {
-            Ok(Self {
-                scan_id,
-                uid: c.word("uid")?,
-                experiment: c.get("experiment")?,
-                kind: c.word("kind")?,
-                label: c.word("label")?,
-                deadband_n: c.get("deadband_n")?,
-                tip_diameter_mm: c.get("tip_diameter_mm")?,
-            })
+            Ok(row!(c, Self { scan_id },
+                word: uid, kind, label; get: experiment, deadband_n, tip_diameter_mm))
         })?;
         let missing = || StoreError::damaged(format!("run {scan_id} has trials and no row"));
         found.pop().ok_or_else(missing)
@@ -151,66 +135,49 @@ fn trial_row(
     }
     let (started, measured) = (c.time_and_text("started_at")?, c.time_and_text("measured_at")?);
     let of = || format!("trial {}", trial_id.0);
-    let row = TrialRow {
-        trial_id,
-        run: run.uid,
-        scan_id: run.scan_id,
-        experiment: run.experiment.clone(),
-        kind: run.kind,
-        label: run.label,
-        configuration: c.whole("configuration")?,
-        depth_index: c.whole("depth_index")?,
-        attempt: c.whole("attempt")?,
-        depth_mm: c.get("depth_mm")?,
-        tips: c.whole("tips")?,
-        contact_count: c.whole("contact_count")?,
-        max_force_n: c.get("max_force_n")?,
-        contacts,
-        forces_n,
-        arms,
-        target: pose([
-            c.get("target_x_mm")?,
-            c.get("target_y_mm")?,
-            c.get("target_z_mm")?,
-            c.get("target_radius_mm")?,
-        ]),
-        reached: pose([
-            c.get("reached_x_mm")?,
-            c.get("reached_y_mm")?,
-            c.get("reached_z_mm")?,
-            c.get("reached_radius_mm")?,
-        ]),
-        placed_by: c.get("placed_by")?,
-        flags: match c.get("flags")? {
-            "[]" => Vec::new(),
-            _ => c.json("flags")?,
-        },
-        quality: FrameQuality {
-            saturated_channels: c.whole_or_none("saturated_channels")?,
-            stuck_channels: c.whole_or_none("stuck_channels")?,
-            missing_channels: c.whole_or_none("missing_channels")?,
-            injection_sum_v: c.get("injection_sum_v")?,
-            dropped_packets: c.whole_or_none("dropped_packets")?,
-        },
-        settle_ms: c.get("settle_ms")?,
-        scalars: TrialScalars::of_columns(|name| c.get(name))?,
-        frame_count: c.whole("frame_count")?,
-        started_at: started.map(|(at, _)| at),
-        measured_at: measured.map(|(at, _)| at),
-        imported_split: c.get("imported_split")?,
-        imported_tag: c.get("imported_tag")?,
-        voltages_v: match c.has("voltages_v") {
-            true => checksum::volts(c, "voltages_v", "volts_crc32", of)?,
-            false => None,
-        },
-        sim_voltages_v: match c.has("sim_voltages_v") {
-            true => checksum::volts(c, "sim_voltages_v", "sim_volts_crc32", of)?,
-            false => None,
-        },
-        sim_model: c.get("sim_model")?,
-        rmse_v: c.get("rmse_v")?,
-        fvu: c.get("fvu")?,
+    let volts = |column: &'static str, sum: &'static str| match c.has(column) {
+        true => checksum::volts(c, column, sum, of),
+        false => Ok(None),
     };
+    let quality = row!(c, FrameQuality {},
+        whole_or_none: saturated_channels, stuck_channels, missing_channels, dropped_packets;
+        get: injection_sum_v);
+    let row = row!(c, TrialRow {
+            trial_id,
+            run: run.uid,
+            scan_id: run.scan_id,
+            experiment: run.experiment.clone(),
+            kind: run.kind,
+            label: run.label,
+            contacts,
+            forces_n,
+            arms,
+            target: pose([
+                c.get("target_x_mm")?,
+                c.get("target_y_mm")?,
+                c.get("target_z_mm")?,
+                c.get("target_radius_mm")?,
+            ]),
+            reached: pose([
+                c.get("reached_x_mm")?,
+                c.get("reached_y_mm")?,
+                c.get("reached_z_mm")?,
+                c.get("reached_radius_mm")?,
+            ]),
+            flags: match c.get("flags")? {
+                "[]" => Vec::new(),
+                _ => c.json("flags")?,
+            },
+            quality,
+            scalars: TrialScalars::of_columns(|name| c.get(name))?,
+            started_at: started.map(|(at, _)| at),
+            measured_at: measured.map(|(at, _)| at),
+            voltages_v: volts("voltages_v", "volts_crc32")?,
+            sim_voltages_v: volts("sim_voltages_v", "sim_volts_crc32")?,
+        },
+        whole: configuration, depth_index, attempt, tips, contact_count, frame_count;
+        get: depth_mm, max_force_n, placed_by, settle_ms, imported_split, imported_tag, sim_model,
+            rmse_v, fvu);
     let times = [started, measured].map(|at| at.map(|(_, text)| text));
     let found = Numbers::of_row(&row, &placed, times).crc32();
     checksum::compare(c.whole_or_none("crc32")?, found, || format!("the row of {}", of()))?;

@@ -8,7 +8,7 @@
 use std::borrow::Cow;
 
 use super::trial_row::{Contact, TrialRow};
-use crate::core::columns::{Columns, counts_blob, time_text};
+use crate::core::columns::{Columns, counts_blob, row, time_text};
 use crate::core::{StoreError, StoreResult};
 use crate::ids::TrialKey;
 use crate::record::{ArmReading, Flag, FrameQuality, FrameRecord, Pose, TrialRecord, TrialScalars};
@@ -52,12 +52,9 @@ pub(crate) fn compare(
 /// # Errors
 /// `Damaged` if they differ; `Sql` or `Unreadable` if a column cannot be decoded.
 pub(crate) fn frame(c: &Columns<'_>, of: impl FnOnce() -> String) -> StoreResult<FrameRecord> {
-    let frame = FrameRecord {
-        sequence: c.whole("sequence")?,
-        device_time_us: c.get::<i64>("device_time_us")?.cast_unsigned(),
-        volts_per_count: c.get("volts_per_count")?,
-        counts: c.counts("counts")?,
-    };
+    let device_time_us = c.get::<i64>("device_time_us")?.cast_unsigned();
+    let frame = row!(c, FrameRecord { device_time_us },
+        whole: sequence; get: volts_per_count; counts: counts);
     compare(c.whole_or_none("crc32")?, of_frame(&frame), || format!("a frame of {}", of()))?;
     Ok(frame)
 }

@@ -108,10 +108,7 @@ impl Condition {
     pub(crate) fn push_onto(&self, query: &mut Statement) {
         let several = self.0.len() > 1;
         query.push(if several { " AND (" } else { " AND " });
-        for (n, part) in self.0.iter().enumerate() {
-            query.push(if n == 0 { "" } else { " OR " });
-            part.push_onto(query, several);
-        }
+        query.each(&self.0, " OR ", |query, part| part.push_onto(query, several));
         query.push(if several { ")" } else { "" });
     }
 
@@ -133,10 +130,7 @@ impl Condition {
             return;
         }
         query.push(" AND (");
-        for (n, part) in self.0.iter().enumerate() {
-            query.push(if n == 0 { "" } else { " OR " });
-            part.push_onto_blocks(query);
-        }
+        query.each(&self.0, " OR ", |query, part| part.push_onto_blocks(query));
         query.push(")");
     }
 }
@@ -243,10 +237,7 @@ impl Part {
         query.push(if unindexed { "+" } else { "" }).push(column);
         // Several values are compared for equality only.
         query.push(if several { " IN (" } else { self.operator() });
-        for (n, operand) in self.operands.iter().enumerate() {
-            query.push(if n == 0 { "" } else { ", " });
-            operand.push_onto(query);
-        }
+        query.each(&self.operands, ", ", |query, operand| operand.push_onto(query));
         query.push(if several { ")" } else { "" });
     }
 
@@ -281,11 +272,8 @@ impl Part {
             }
             // A list may have more values than an expression may have levels.
             (Comparison::Equal, operands) => {
-                query.push("EXISTS (SELECT 1 FROM (VALUES ");
-                for (n, operand) in operands.iter().enumerate() {
-                    query.push(if n == 0 { "(" } else { "), (" });
-                    operand.push_onto(query);
-                }
+                query.push("EXISTS (SELECT 1 FROM (VALUES (");
+                query.each(operands, "), (", |query, operand| operand.push_onto(query));
                 query.push(")) WHERE column1 BETWEEN ");
                 query.push(&least).push(" AND ").push(&most).push(")");
                 return;
@@ -293,11 +281,10 @@ impl Part {
             (Comparison::Greater | Comparison::GreaterOrEqual, _) => most,
             (Comparison::Less | Comparison::LessOrEqual, _) => least,
         };
-        for (n, operand) in self.operands.iter().enumerate() {
-            query.push(if n == 0 { "" } else { " OR " });
+        query.each(&self.operands, " OR ", |query, operand| {
             query.push(&bound).push(self.operator());
             operand.push_onto(query);
-        }
+        });
     }
 }
 

@@ -3,7 +3,7 @@
 //! Uses: `store`. Never: a file of 1024 trials (ids are skipped instead).
 
 use super::twins::{frame, model};
-use super::{Folder, execute, findings, hex_trial, new_run, open};
+use super::{Folder, execute, findings, fresh, hex_trial, new_run, open};
 use crate::ids::{RunUid, TrialId, TrialKey};
 use crate::journal::Journal;
 use crate::record::Flag;
@@ -14,8 +14,8 @@ const TRIALS: u32 = 12;
 
 /// Two runs whose trials alternate, in four blocks. The largest force of trial n is 3 n N, its twin has an
 /// FVU of n / 100; trial 5 has a flag, trials 2 and 3 have no twin, trial 11 of the second run is discarded.
-async fn filled(folder: &Folder) -> (Store, [RunUid; 2]) {
-    let store = open(&folder.file()).await;
+async fn filled() -> (Folder, Store, [RunUid; 2]) {
+    let (folder, store) = fresh().await;
     let mut runs = [RunUid::new(); 2];
     for run in &mut runs {
         *run = store.enqueue(new_run(RunKind::RealHex)).await.unwrap().uid;
@@ -40,7 +40,7 @@ async fn filled(folder: &Folder) -> (Store, [RunUid; 2]) {
     }
     let key = TrialKey { configuration: 11, depth_index: 0 };
     store.discard(runs[1], key, "a test").await.unwrap();
-    (store, runs)
+    (folder, store, runs)
 }
 
 fn that(conditions: &[&str]) -> Vec<Condition> {
@@ -61,8 +61,7 @@ async fn found(store: &Store, query: &TrialQuery) -> Vec<u32> {
 
 #[tokio::test]
 async fn a_condition_finds_the_same_trials_by_blocks_as_one_by_one() {
-    let folder = Folder::new();
-    let (store, [_, run]) = filled(&folder).await;
+    let (_folder, store, [_, run]) = filled().await;
     let base = TrialQuery { run: Some(run), ..Default::default() };
     let ids: Vec<TrialId> = store
         .trials(&TrialQuery { limit: 100, ..base.clone() })
@@ -116,8 +115,7 @@ async fn a_condition_finds_the_same_trials_by_blocks_as_one_by_one() {
 
 #[tokio::test]
 async fn pages_by_blocks_are_not_sorted_and_end_at_the_page() {
-    let folder = Folder::new();
-    let (store, [run, _]) = filled(&folder).await;
+    let (_folder, store, [run, _]) = filled().await;
     for conditions in [
         vec!["fvu__gt=0.5"],
         vec!["tips=4|fvu__gt=0.5"],
@@ -155,8 +153,7 @@ async fn a_bound_that_excludes_a_stored_trial_is_found() {
         ("UPDATE trial_blocks SET depth_error_mm_least = NULL WHERE block = 2", "2048 to 3071"),
         ("DELETE FROM trial_blocks WHERE block = 1", "1024 to 2047"),
     ] {
-        let folder = Folder::new();
-        let (store, _) = filled(&folder).await;
+        let (_folder, store, _) = filled().await;
         assert_eq!(store.examine(1).await.unwrap(), Soundness::Sound);
         execute(&store, change).await;
         let findings = findings(&store).await;
@@ -173,8 +170,7 @@ const BOUNDS_AGAIN: &str =
 async fn wrong_bounds_are_computed_again_as_the_manual_says() {
     let manual = include_str!("../../../docs/how-to/run-overnight.md");
     assert!(manual.contains(BOUNDS_AGAIN));
-    let folder = Folder::new();
-    let (store, [_, run]) = filled(&folder).await;
+    let (folder, store, [_, run]) = filled().await;
     execute(&store, "UPDATE trial_blocks SET max_force_n_most = 1").await;
     execute(&store, BOUNDS_AGAIN).await;
     store.close().await;

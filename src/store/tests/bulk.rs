@@ -14,15 +14,17 @@ use crate::{StoreError, StoreResult};
 
 const COUNTING: &str = "counting numbers";
 
-/// A file in the journal mode of the store with the numbers 1 to 1000, and connections that read it.
-fn numbers(folder: &Folder) -> (Connection, Bulk) {
+/// A file in the journal mode of the store with the numbers 1 to 1000, its folder, and connections that read it.
+fn numbers() -> (Folder, Connection, Bulk) {
+    let folder = Folder::new();
     let writer = Connection::open(folder.file()).unwrap();
     writer.pragma_update(None, "journal_mode", "WAL").unwrap();
     let fill = "CREATE TABLE numbers (n INTEGER PRIMARY KEY, word TEXT, half REAL);
         WITH RECURSIVE up(n) AS (SELECT 1 UNION ALL SELECT n + 1 FROM up WHERE n < 1000)
         INSERT INTO numbers SELECT n, 'no ' || n, n / 2.0 FROM up;";
     writer.execute_batch(fill).unwrap();
-    (writer, Bulk::new(&folder.file(), Duration::from_secs(5)))
+    let bulk = Bulk::new(&folder.file(), Duration::from_secs(5));
+    (folder, writer, bulk)
 }
 
 fn count(connection: &Connection) -> StoreResult<i64> {
@@ -33,8 +35,7 @@ fn count(connection: &Connection) -> StoreResult<i64> {
 
 #[tokio::test]
 async fn values_are_read_by_their_names_in_any_order() {
-    let folder = Folder::new();
-    let (_writer, bulk) = numbers(&folder);
+    let (_folder, _writer, bulk) = numbers();
     let mut query = Statement::new("SELECT n, word, half, NULL AS none FROM numbers WHERE n > ");
     query.bind(2_i64).push(" AND word <> ").bind("no 4".to_owned()).push(" ORDER BY n LIMIT 4");
     let read = move |connection: &Connection| {
@@ -55,8 +56,7 @@ async fn values_are_read_by_their_names_in_any_order() {
 
 #[tokio::test]
 async fn a_column_that_is_missing_or_of_another_type_is_an_error() {
-    let folder = Folder::new();
-    let (_writer, bulk) = numbers(&folder);
+    let (_folder, _writer, bulk) = numbers();
     for (text, named) in [
         ("SELECT n FROM numbers", "Invalid column name: word"),
         ("SELECT word FROM numbers", "name: word"),
@@ -74,8 +74,7 @@ async fn a_column_that_is_missing_or_of_another_type_is_an_error() {
 
 #[tokio::test]
 async fn a_read_is_a_view_of_the_file_and_writes_nothing() {
-    let folder = Folder::new();
-    let (writer, bulk) = numbers(&folder);
+    let (_folder, writer, bulk) = numbers();
     let read = move |connection: &Connection| {
         let before = count(connection)?;
         writer.execute("DELETE FROM numbers WHERE n > 10", []).unwrap();
@@ -90,8 +89,7 @@ async fn a_read_is_a_view_of_the_file_and_writes_nothing() {
 
 #[tokio::test]
 async fn a_statement_ends_when_its_caller_has_gone() {
-    let folder = Folder::new();
-    let (_writer, bulk) = numbers(&folder);
+    let (_folder, _writer, bulk) = numbers();
     let endless = |connection: &Connection| {
         let up = "WITH RECURSIVE up(n) AS (SELECT 1 UNION ALL SELECT n + 1 FROM up)
             SELECT max(n) AS n FROM up";
@@ -106,8 +104,7 @@ async fn a_statement_ends_when_its_caller_has_gone() {
 
 #[tokio::test]
 async fn a_panic_is_that_of_the_caller_and_takes_no_connection() {
-    let folder = Folder::new();
-    let (_writer, bulk) = numbers(&folder);
+    let (_folder, _writer, bulk) = numbers();
     for _ in 0..=BULK_CONNECTIONS {
         let bulk = bulk.clone();
         let panicking = tokio::spawn(async move {
@@ -137,8 +134,7 @@ async fn waiting(bulk: &Bulk) -> (mpsc::Sender<()>, tokio::task::JoinHandle<Stor
 
 #[tokio::test]
 async fn one_read_more_than_connections_waits_and_a_read_apart_does_not() {
-    let folder = Folder::new();
-    let (_writer, bulk) = numbers(&folder);
+    let (_folder, _writer, bulk) = numbers();
     let mut reads = Vec::new();
     for _ in 0..BULK_CONNECTIONS {
         reads.push(waiting(&bulk).await);
@@ -159,8 +155,7 @@ async fn one_read_more_than_connections_waits_and_a_read_apart_does_not() {
 
 #[tokio::test]
 async fn closing_waits_for_reads_and_refuses_further_ones() {
-    let folder = Folder::new();
-    let (_writer, bulk) = numbers(&folder);
+    let (_folder, _writer, bulk) = numbers();
     let (end, reading) = waiting(&bulk).await;
     let closing = tokio::spawn({
         let bulk = bulk.clone();

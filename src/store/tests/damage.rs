@@ -38,6 +38,14 @@ async fn filled(folder: &Folder) -> RunUid {
     run
 }
 
+/// Such a database, opened again, with its folder and its run.
+async fn opened() -> (Folder, Store, RunUid) {
+    let folder = Folder::new();
+    let run = filled(&folder).await;
+    let store = open(&folder.file()).await;
+    (folder, store, run)
+}
+
 fn reference() -> ReferenceRecord {
     let like = hex_trial(1, 0, &[9.0]);
     let (arms, frame) = (like.arms, like.frames[0].clone());
@@ -213,9 +221,7 @@ async fn change_count(folder: &Folder, trial: TrialId) {
 
 #[tokio::test]
 async fn a_frame_that_changed_is_named_by_its_trial() {
-    let folder = Folder::new();
-    let run = filled(&folder).await;
-    let store = open(&folder.file()).await;
+    let (folder, store, run) = opened().await;
     assert_eq!(store.soundness(), Soundness::Unchecked);
     change_count(&folder, TrialId(60)).await;
     // Older than the examined trials.
@@ -246,9 +252,7 @@ async fn whatever_of_a_trial_changes_is_found_where_it_is_read() {
         "UPDATE frames SET volts_per_count = 0.5 WHERE trial = 9 AND n = 0",
     ];
     for change in changes {
-        let folder = Folder::new();
-        filled(&folder).await;
-        let store = open(&folder.file()).await;
+        let (_folder, store, _) = opened().await;
         execute(&store, change).await;
         let findings = findings(&store).await;
         assert!(findings.len() == 1 && findings[0].contains("trial 9"), "{change}: {findings:?}");
@@ -257,9 +261,7 @@ async fn whatever_of_a_trial_changes_is_found_where_it_is_read() {
 
 #[tokio::test]
 async fn a_damaged_trial_stays_and_the_diary_does_not_wait_for_its_discard() {
-    let folder = Folder::new();
-    let run = filled(&folder).await;
-    let store = open(&folder.file()).await;
+    let (_folder, store, run) = opened().await;
     execute(&store, "UPDATE trial_tips SET force_n = -force_n WHERE trial = 9 AND arm = 2").await;
     let key = TrialKey { configuration: 0, depth_index: 8 };
     let refused = store.discard(run, key, "a hand slipped").await.unwrap_err();
@@ -269,9 +271,7 @@ async fn a_damaged_trial_stays_and_the_diary_does_not_wait_for_its_discard() {
 
 #[tokio::test]
 async fn whatever_column_of_the_trials_table_changes_is_found() {
-    let folder = Folder::new();
-    filled(&folder).await;
-    let store = open(&folder.file()).await;
+    let (_folder, store, _) = opened().await;
     let change = async |sql: String| {
         let changing = async move |c: &mut sqlx::SqliteConnection| {
             sqlx::raw_sql(sqlx::AssertSqlSafe(sql)).execute(c).await.unwrap();
@@ -308,9 +308,7 @@ async fn whatever_column_of_the_trials_table_changes_is_found() {
 
 #[tokio::test]
 async fn a_reference_press_that_changed_is_found_where_it_is_read() {
-    let folder = Folder::new();
-    let run = filled(&folder).await;
-    let store = open(&folder.file()).await;
+    let (_folder, store, run) = opened().await;
     execute(&store, "UPDATE reference_presses SET device_time_us = 1").await;
     let error = store.references(run).await.unwrap_err();
     assert!(error.to_string().contains("reference press 1"), "{error}");
@@ -318,9 +316,7 @@ async fn a_reference_press_that_changed_is_found_where_it_is_read() {
 
 #[tokio::test]
 async fn trials_of_before_the_checksums_are_read_as_they_are() {
-    let folder = Folder::new();
-    let run = filled(&folder).await;
-    let store = open(&folder.file()).await;
+    let (_folder, store, run) = opened().await;
     execute(
         &store,
         "UPDATE trials SET crc32 = NULL; UPDATE trial_voltages SET crc32 = NULL;

@@ -3,7 +3,7 @@
 
 use serde_json::json;
 
-use super::{Folder, execute, findings, fresh, new_run, random_trial, time};
+use super::{EARLY_RUN, Folder, execute, findings, fresh, new_run, random_trial, time};
 use crate::ids::{DatasetId, ModelId, RunUid, TrialKey};
 use crate::journal::Journal;
 use crate::state::StoredState;
@@ -257,13 +257,7 @@ async fn the_newest_of_a_name_is_the_last_one_although_the_clock_was_set_back() 
 async fn tables_made_anew_lose_nothing() {
     let folder = Folder::new();
     let filled =
-        "INSERT INTO runs (scan_id, uid, experiment, kind, definition, definition_sha256, seed,
-             rig, rig_sha256, sensor, sensor_sha256, label, version, deadband_n, trials_planned,
-             auto_resume, state, created_at, submitted_by)
-         VALUES (1, '0190a0a0-0000-7000-8000-000000000001', 'e', 'real-random', 'd', 'h', 7, 'r',
-             'h', 's', 'h', 'virtual', '0', 5.0, 2, 0, 'interrupted', '2026-11-20T18:00:00.000Z',
-             'a');
-         INSERT INTO trials (id, run, configuration, depth_index, attempt, tips, flags, settle_ms,
+        "INSERT INTO trials (id, run, configuration, depth_index, attempt, tips, flags, settle_ms,
              contact_count, frame_count, started_at, measured_at)
          VALUES (5, 1, 0, 0, 1, 1, '[]', 1.5, 1, 1, '2026-11-20T18:00:00.000Z',
              '2026-11-20T18:00:01.000Z'),
@@ -273,7 +267,7 @@ async fn tables_made_anew_lose_nothing() {
          INSERT INTO trial_voltages VALUES (5, x'0000803f');
          INSERT INTO frames VALUES (5, 0, 1, 2, 0.5, x'0200');
          DELETE FROM trials WHERE id = 6;";
-    let store = folder.open_from_before(3, filled).await;
+    let store = folder.open_from_before(3, &[EARLY_RUN, filled]).await;
     store.integrity_check().await.unwrap();
     let run = store.run_by_scan_id(1).await.unwrap().unwrap();
     assert_eq!((run.seed, run.rig.as_deref()), (Some(7), Some("r")));

@@ -33,6 +33,14 @@ use crate::record::{
 };
 use crate::{Label, NewRun, RunKind, Soundness, Store};
 
+/// Run 1 in a file of an early version.
+const EARLY_RUN: &str =
+    "INSERT INTO runs (scan_id, uid, experiment, kind, definition, definition_sha256, seed, rig,
+         rig_sha256, sensor, sensor_sha256, label, version, deadband_n, trials_planned,
+         auto_resume, state, created_at, submitted_by)
+     VALUES (1, '0190a0a0-0000-7000-8000-000000000001', 'e', 'real-random', 'd', 'h', 7, 'r', 'h',
+         's', 'h', 'virtual', '0', 5.0, 3, 0, 'interrupted', '2026-11-20T18:00:00.000Z', 'a')";
+
 /// A temporary folder, removed at the end of its test.
 struct Folder(TempDir);
 
@@ -52,13 +60,15 @@ impl Folder {
     }
 
     /// Opens a file that the version before the migration of this number has made and filled.
-    async fn open_from_before(&self, migration: i64, filled: &'static str) -> Store {
+    async fn open_from_before(&self, migration: i64, filled: &[&'static str]) -> Store {
         let mut file = self.behind().await;
         let folder = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../migrations"));
         let mut before = Migrator::new(folder).await.unwrap();
         before.migrations.to_mut().retain(|known| known.version < migration);
         before.run(&mut file).await.unwrap();
-        sqlx::raw_sql(filled).execute(&mut file).await.unwrap();
+        for sql in filled {
+            sqlx::raw_sql(*sql).execute(&mut file).await.unwrap();
+        }
         file.close().await.unwrap();
         open(&self.file()).await
     }

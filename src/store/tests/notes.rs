@@ -33,7 +33,10 @@ async fn a_record_whose_commit_failed_but_was_stored_is_not_stored_again() {
         tips: 2,
         surface_z_mm: 41.300_1,
         tip_offset_mm: vec![(1, -0.1), (2, 0.1)],
-        touches: vec![ArmTouch { x_mm: 270.0, y_mm: 280.0, arm: 1, z_mm: 41.2 }],
+        touches: vec![
+            ArmTouch { x_mm: 270.0, y_mm: 280.0, arm: 1, z_mm: 41.2 },
+            ArmTouch { x_mm: 270.0, y_mm: 297.3, arm: 2, z_mm: 41.4 },
+        ],
         at,
     };
     let mounting = Mounting { tips: 2, live_cells: 4, who: "Ada".into() };
@@ -62,10 +65,10 @@ async fn a_record_whose_commit_failed_but_was_stored_is_not_stored_again() {
         }
     }
     assert_eq!(store.attempts(run, 9).await.unwrap(), std::slice::from_ref(&attempt));
-    assert_eq!(store.progress(run).await.unwrap().retries, 1);
-    assert_eq!(store.tares(run).await.unwrap(), [tare]);
+    let progress = store.progress(run).await.unwrap();
+    assert_eq!(progress.retries, 1);
+    assert!(progress.stored.is_empty(), "none of these is a trial");
     assert_eq!(store.untouched_frames(run, 9).await.unwrap(), [skin]);
-    assert_eq!(store.references(run).await.unwrap(), [press]);
     assert_eq!(store.touch_offs(run).await.unwrap(), [found]);
     let mountings = store.write("counting mountings", async |connection| {
         let count = "SELECT count(*) FROM mountings";
@@ -78,6 +81,12 @@ async fn a_record_whose_commit_failed_but_was_stored_is_not_stored_again() {
     let again = store.event(Some(run), "rig", data.clone(), at).await.unwrap();
     assert_eq!(again, events[1], "with its number");
     // Others are other records.
+    let second = TareRecord { configuration: 4, ..tare.clone() };
+    store.tare(run, &second).await.unwrap();
+    assert_eq!(store.tares(run).await.unwrap(), [tare, second]);
+    let second = ReferenceRecord { before_configuration: 100, ..press.clone() };
+    store.reference(run, &second).await.unwrap();
+    assert_eq!(store.references(run).await.unwrap(), [press, second]);
     let later = time("2026-11-20T18:00:00.501Z");
     store.event(Some(run), "rig", data, later).await.unwrap();
     assert_eq!(store.last_event_seq().await.unwrap(), events[1].seq + 1);

@@ -98,7 +98,7 @@ async fn requests_of_keys_that_were_revoked_before_are_removed() {
          INSERT INTO requests_once (caller, name, request, began_at) VALUES
          (0, 'k', 'sha', '2026-11-20T18:00:00.000Z'), (1, 'k', 'sha', '2026-11-20T18:00:00.000Z'),
          (2, 'k', 'sha', '2026-11-20T18:00:00.000Z')";
-    let store = folder.open_from_before(26, filled).await;
+    let store = folder.open_from_before(26, &[filled]).await;
     for (caller, is_removed) in [(None, false), (Some(1), true), (Some(2), false)] {
         assert_eq!(is_new(&store, &key(caller, "k"), 9).await, is_removed, "{caller:?}");
     }

@@ -71,7 +71,7 @@ async fn events_of_earlier_versions_have_the_kinds_of_today() {
              ('2026-11-20T18:00:00.000Z', 'not_gone_on', '{"attempt":1,"why":"no answer"}'),
              ('2026-11-20T18:00:01.000Z', 'went_on', '{"attempt":2}'),
              ('2026-11-20T18:00:02.000Z', 'not_begun', '{"why":"a lock"}');"#;
-    let store = folder.open_from_before(18, filled).await;
+    let store = folder.open_from_before(18, &[filled]).await;
     let events = store.events_since(0, 9, None, &[]).await.unwrap();
     let kinds: Vec<&str> = events.iter().map(|event| event.kind.as_str()).collect();
     assert_eq!(kinds, ["not_resumed", "resumed", "not_begun"]);

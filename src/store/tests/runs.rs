@@ -6,7 +6,20 @@ use crate::ids::RunUid;
 use crate::journal::{ExitStatus, Journal};
 use crate::state::{PausedWhy, StateChange, StoredState};
 use crate::table::RUN_COLUMNS;
-use crate::{Condition, Label, NewRun, RunKind, StoreError};
+use crate::{Condition, Label, NewRun, RunKind, Store, StoreError};
+
+fn planned(plan: &str) -> NewRun {
+    NewRun { plan: Some(plan.into()), ..new_run(RunKind::RealHex) }
+}
+
+/// Runs of the queue, in its order.
+async fn four_queued(store: &Store) -> [RunUid; 4] {
+    let mut uids = [RunUid::new(); 4];
+    for uid in &mut uids {
+        *uid = store.enqueue(new_run(RunKind::RealHex)).await.unwrap().uid;
+    }
+    uids
+}
 
 #[tokio::test]
 async fn a_run_keeps_its_provenance() {
@@ -159,16 +172,12 @@ async fn a_run_that_ended_short_of_its_plan_can_be_driven_again() {
 #[tokio::test]
 async fn the_queue_is_in_the_order_that_was_asked_for() {
     let (_folder, store) = fresh().await;
-    let mut uids = Vec::new();
-    for _ in 0..4 {
-        uids.push(store.enqueue(new_run(RunKind::RealHex)).await.unwrap().uid);
-    }
+    let [a, b, c, d] = four_queued(&store).await;
     let order = |rows: Vec<crate::RunRow>| {
         let positions: Vec<_> = rows.iter().map(|r| r.queue_position.unwrap()).collect();
         assert_eq!(positions, (1..=rows.len() as u32).collect::<Vec<_>>());
         rows.into_iter().map(|r| r.uid).collect::<Vec<_>>()
     };
-    let [a, b, c, d] = uids[..] else { panic!() };
     assert_eq!(order(store.queue().await.unwrap()), [a, b, c, d]);
     assert_eq!(order(store.move_item(d, 1).await.unwrap()), [d, a, b, c]);
     assert_eq!(order(store.move_item(d, 99).await.unwrap()), [a, b, c, d]);
@@ -187,7 +196,6 @@ async fn the_queue_is_in_the_order_that_was_asked_for() {
 #[tokio::test]
 async fn an_edited_run_keeps_number_place_and_submitter_and_is_no_longer_started() {
     let (_folder, store) = fresh().await;
-    let planned = |plan: &str| NewRun { plan: Some(plan.into()), ..new_run(RunKind::RealHex) };
     let before = store.enqueue(planned("one")).await.unwrap();
     let other = store.enqueue(planned("two")).await.unwrap();
     store.set_waiting(before.uid).await.unwrap();
@@ -260,10 +268,7 @@ async fn runs_come_in_pages_newest_first() {
 #[tokio::test]
 async fn the_last_run_to_end_is_found_behind_newer_runs() {
     let (_folder, store) = fresh().await;
-    let mut uids = Vec::new();
-    for _ in 0..4 {
-        uids.push(store.enqueue(new_run(RunKind::RealHex)).await.unwrap().uid);
-    }
+    let uids = four_queued(&store).await;
     let ended = async |limit| {
         let runs = store.ended_runs(limit).await.unwrap();
         runs.iter().map(|run| run.scan_id).collect::<Vec<_>>()
@@ -310,11 +315,7 @@ async fn runs_are_selected_by_conditions() {
 #[tokio::test]
 async fn a_run_that_waits_for_its_turn_does_so_through_a_crash() {
     let (folder, store) = fresh().await;
-    let mut uids = Vec::new();
-    for _ in 0..4 {
-        uids.push(store.enqueue(new_run(RunKind::RealHex)).await.unwrap().uid);
-    }
-    let [a, b, c, d] = uids[..] else { panic!() };
+    let [a, b, c, d] = four_queued(&store).await;
     assert!(store.waiting_runs().await.unwrap().is_empty());
     store.run_state(a, StateChange::to(StoredState::Running), now()).await.unwrap();
     for run in [d, b, c] {
@@ -356,13 +357,8 @@ async fn nothing_is_stored_for_a_run_that_is_not_there() {
 #[tokio::test]
 async fn a_plan_is_kept_once_and_read_with_its_digest() {
     let (_folder, store) = fresh().await;
-    let with_plan = |plan: &str| {
-        let mut new = new_run(RunKind::RealHex);
-        new.plan = Some(plan.into());
-        new
-    };
-    let first = store.enqueue(with_plan("{\"steps\":[1]}")).await.unwrap();
-    let same = store.enqueue(with_plan("{\"steps\":[1]}")).await.unwrap();
+    let first = store.enqueue(planned("{\"steps\":[1]}")).await.unwrap();
+    let same = store.enqueue(planned("{\"steps\":[1]}")).await.unwrap();
     assert_eq!(first.plan_sha256, same.plan_sha256);
     assert_eq!(store.plan_of(same.uid).await.unwrap().as_deref(), Some("{\"steps\":[1]}"));
 

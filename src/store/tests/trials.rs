@@ -3,13 +3,10 @@
 
 use std::sync::Arc;
 
-use super::{Folder, execute, hex_trial, new_run, now, random_trial, time, with_run};
+use super::{EARLY_RUN, Folder, execute, hex_trial, new_run, now, random_trial, time, with_run};
 use crate::ids::{RunUid, TrialId, TrialKey};
 use crate::journal::Journal;
-use crate::record::{
-    ArmTouch, AttemptRecord, Flag, ReferenceRecord, TareRecord, TouchOffRecord, TrialScalars,
-    Untouched,
-};
+use crate::record::{Flag, TrialScalars, Untouched};
 use crate::{Condition, Order, RunKind, SettingCount, StoreError, TrialQuery};
 
 fn that(condition: &str) -> Condition {
@@ -371,13 +368,7 @@ async fn a_trial_has_the_untouched_skin_that_was_measured_last_before_it() {
 async fn untouched_frames_of_an_earlier_version_are_placed_by_their_times() {
     let folder = Folder::new();
     let filled =
-        "INSERT INTO runs (scan_id, uid, experiment, kind, definition, definition_sha256, seed,
-             rig, rig_sha256, sensor, sensor_sha256, label, version, deadband_n, trials_planned,
-             auto_resume, state, created_at, submitted_by)
-         VALUES (1, '0190a0a0-0000-7000-8000-000000000001', 'e', 'real-random', 'd', 'h', 7, 'r',
-             'h', 's', 'h', 'virtual', '0', 5.0, 3, 0, 'interrupted', '2026-11-20T18:00:00.000Z',
-             'a');
-         INSERT INTO trials (id, run, configuration, depth_index, attempt, tips, flags, settle_ms,
+        "INSERT INTO trials (id, run, configuration, depth_index, attempt, tips, flags, settle_ms,
              contact_count, frame_count, started_at, measured_at)
          VALUES (5, 1, 0, 0, 1, 1, '[]', 1.5, 1, 1, '2026-11-20T18:00:01.000Z',
              '2026-11-20T18:00:02.000Z'),
@@ -388,7 +379,7 @@ async fn untouched_frames_of_an_earlier_version_are_placed_by_their_times() {
          INSERT INTO untouched_frames (id, run, at, frame_count, voltages_v, crc32)
          VALUES (1, 1, '2026-11-20T18:00:03.000Z', 30, x'0000803f', 2896259690),
              (2, 1, '2026-11-20T18:00:05.000Z', 30, x'00000040', 1469619852);";
-    let store = folder.open_from_before(25, filled).await;
+    let store = folder.open_from_before(25, &[EARLY_RUN, filled]).await;
     store.integrity_check().await.unwrap();
     let run = store.run_by_scan_id(1).await.unwrap().unwrap().uid;
     let skin = Untouched {
@@ -406,57 +397,17 @@ async fn untouched_frames_of_an_earlier_version_are_placed_by_their_times() {
 }
 
 #[tokio::test]
-async fn what_stands_beside_the_trials_comes_back() {
+async fn a_skip_keeps_its_first_reason_and_time() {
     let (_folder, store, run) = with_run(RunKind::RealHex).await;
     let at = time("2026-11-20T18:00:00.5Z");
-    let like = hex_trial(2, 0, &[10.0, 11.0]);
-    let tares = [3, 4].map(|configuration| TareRecord {
-        configuration,
-        volts: vec![(1, 0.501), (2, 0.4987)],
-        samples: 4,
-        at,
-    });
-    for tare in &tares {
-        store.tare(run, tare).await.unwrap();
-    }
-    assert_eq!(store.tares(run).await.unwrap(), tares);
-    let presses = [0, 100].map(|before_configuration| ReferenceRecord {
-        before_configuration,
-        reached: like.reached.unwrap(),
-        depth_mm: 3.0,
-        arms: like.arms.clone(),
-        frame: like.frames[0].clone(),
-        at,
-    });
-    for press in &presses {
-        store.reference(run, press).await.unwrap();
-    }
-    assert_eq!(store.references(run).await.unwrap(), presses);
-    let found = TouchOffRecord {
-        tips: 2,
-        surface_z_mm: 41.300_1,
-        tip_offset_mm: vec![(1, -0.1), (2, 0.1)],
-        touches: vec![
-            ArmTouch { x_mm: 270.0, y_mm: 280.0, arm: 1, z_mm: 41.2 },
-            ArmTouch { x_mm: 270.0, y_mm: 297.3, arm: 2, z_mm: 41.4 },
-        ],
-        at,
-    };
-    store.touch_off(run, &found).await.unwrap();
-    assert_eq!(store.touch_offs(run).await.unwrap(), [found]);
-    let key = TrialKey { configuration: 5, depth_index: 2 };
-    let attempt = AttemptRecord { key, attempt: 1, reason: "cell 2: 0 V".into(), at };
-    store.attempt(run, &attempt).await.unwrap();
-    assert_eq!(store.attempts(run, 5).await.unwrap(), [attempt]);
     store.skip(run, 5, "cell 2: 0 V three times", at).await.unwrap();
     store.skip(run, 5, "again", now()).await.unwrap();
     let skips = store.skips(run).await.unwrap();
     assert_eq!((skips.len(), skips[0].reason.as_str()), (1, "cell 2: 0 V three times"));
     assert_eq!(skips[0].at, at, "when it happened, not when it was written");
-    let progress = store.progress(run).await.unwrap();
-    assert_eq!((progress.skipped.into_iter().collect::<Vec<_>>(), progress.retries), (vec![5], 1));
-    assert!(progress.stored.is_empty(), "none of these is a trial");
-    let missing = store.tare(RunUid::new(), &tares[0]).await.unwrap_err();
+    let skipped = store.progress(run).await.unwrap().skipped;
+    assert_eq!(skipped.into_iter().collect::<Vec<_>>(), [5]);
+    let missing = store.skip(RunUid::new(), 5, "cell 2: 0 V", at).await.unwrap_err();
     let cause = missing.source.downcast_ref::<StoreError>();
     assert!(matches!(cause, Some(StoreError::NoSuchRun(_))), "{missing:?}");
 }

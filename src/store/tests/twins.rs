@@ -1,7 +1,7 @@
 //! Twins: pending until they are stored, stored once, deleted with a discarded trial.
 //! Uses: `store`. Never: a model (the numbers here are invented).
 
-use super::{fresh, hex_trial, new_run};
+use super::{hex_trial, with_run};
 use crate::ids::{TrialId, TrialKey};
 use crate::journal::Journal;
 use crate::{NewTwinModel, RunKind, Store, Twin, TwinModelId, TwinOutcome};
@@ -24,8 +24,7 @@ pub(super) fn frame(trial: TrialId, fvu: f64) -> Twin {
 
 #[tokio::test]
 async fn what_is_pending_is_what_is_not_there() {
-    let (_folder, store) = fresh().await;
-    let run = store.enqueue(new_run(RunKind::RealHex)).await.unwrap().uid;
+    let (_folder, store, run) = with_run(RunKind::RealHex).await;
     let mut ids = Vec::new();
     for configuration in 0..5 {
         ids.push(store.trial(run, &hex_trial(configuration, 0, &[7.0])).await.unwrap());
@@ -80,8 +79,7 @@ async fn what_is_pending_is_what_is_not_there() {
 
 #[tokio::test]
 async fn a_trial_that_was_taken_back_has_no_twin() {
-    let (_folder, store) = fresh().await;
-    let run = store.enqueue(new_run(RunKind::RealHex)).await.unwrap().uid;
+    let (_folder, store, run) = with_run(RunKind::RealHex).await;
     let trial = store.trial(run, &hex_trial(0, 0, &[7.0])).await.unwrap();
     let other = store.trial(run, &hex_trial(1, 0, &[7.0])).await.unwrap();
     let model = model(&store, "sim-1").await;

@@ -6,7 +6,6 @@
 
 use std::time::Duration;
 
-use futures::future::join_all;
 use tokio::time::Instant;
 
 use crate::campaign::bench::estop::StopSwitch;
@@ -88,6 +87,8 @@ pub struct Stage {
     pub(super) last_sample: Option<LastSample>,
     /// Time since which z has been held at rest under watch.
     pub(super) held_since: Option<Instant>,
+    /// Radius at which the last approach from below ended, mm; none once the slots have moved since.
+    pub(super) approached_mm: Option<f64>,
 }
 
 /// When and where the cells were last read in a watched motion or hold.
@@ -141,6 +142,7 @@ impl Stage {
             samples: Samples::default(),
             last_sample: None,
             held_since: None,
+            approached_mm: None,
         }
     }
 
@@ -199,37 +201,6 @@ impl Stage {
     /// Waits for one pause between polls.
     pub async fn poll_pause(&self) {
         self.clock.sleep(POLL_S.max(POLL_WALL_S * self.clock.rate())).await;
-    }
-
-    /// Reads the positions of all four axes.
-    ///
-    /// # Errors
-    /// Halts if a device does not reply.
-    pub async fn pose(&self) -> Result<Pose, Halt> {
-        let b = &self.bench;
-        let read = join_all([&b.x, &b.y, &b.z, &b.radial].map(|axis| axis.status())).await;
-        let mut at = [0.0; 4];
-        for (slot, status) in at.iter_mut().zip(read) {
-            *slot = status?.position;
-        }
-        let radius_mm = self.config.slot.radius_mm(at[3]);
-        Ok(Pose { x_mm: at[0], y_mm: at[1], z_mm: at[2], radius_mm })
-    }
-
-    /// Reads the positions of all axes and compares them with their targets. If an axis is off its
-    /// target, all are read again: Modbus TCP has no checksum, and a flipped bit does not recur.
-    ///
-    /// # Errors
-    /// Trips if an axis is still off its target, see [`interlock::off_target`].
-    pub async fn reached(&self, target: &Pose) -> Result<Pose, Halt> {
-        let mut pose = self.pose().await?;
-        if interlock::off_target(&self.config, &pose, target).is_some() {
-            pose = self.pose().await?;
-        }
-        match interlock::off_target(&self.config, &pose, target) {
-            Some(words) => Err(Halt::trip(TripKind::Position, words)),
-            None => Ok(pose),
-        }
     }
 
     /// Reads the cells while z is at rest, and checks every limit.

@@ -312,6 +312,8 @@ pub struct Forgetful {
     pub stored: Mutex<BTreeSet<TrialKey>>,
     /// Whether it discards none of them, as on a full disk.
     pub discards_fail: AtomicBool,
+    /// Time that it takes to discard one, wall time.
+    pub discards_take: Mutex<Duration>,
     /// Kind of each event.
     pub events: Mutex<Vec<String>>,
     /// Wall time of each event.
@@ -354,6 +356,7 @@ impl Journal for Forgetful {
         if self.discards_fail.load(Ordering::SeqCst) {
             return Err(JournalError::of("a discarded trial", "database or disk is full"));
         }
+        wait(&self.discards_take).await;
         self.stored.lock().remove(&key);
         Ok(())
     }

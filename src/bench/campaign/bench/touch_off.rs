@@ -55,9 +55,10 @@ pub async fn touch_off(
     raise_as_planned(control, stage).await?;
     let mut touches: Vec<ArmTouch> = Vec::new();
     for (i, place) in places.iter().enumerate() {
-        stage.go_over(control, place).await?;
+        let over = stage.go_over(control, place).await?;
         let accept = if i == 0 { Accept::AnyZero } else { Accept::NearLast };
         tare::tare_untouched(stage, control, tare_samples, accept).await?;
+        stage.require_over(control, &over).await?;
         // The tips are up: what was requested meanwhile waits for no further place.
         control.checkpoint()?;
         for (arm, z_mm) in touch(stage, control, first_height(&touches)).await? {

@@ -109,6 +109,9 @@ impl Stage {
             self.require_clear(control).await?;
             self.skin = None;
         }
+        if targets.iter().any(|t| t.axis == AxisName::Radial) {
+            self.approached_mm = None;
+        }
         if polled == Polled::Axes {
             self.begin_watch();
         } else if self.last_sample.is_none() {
@@ -310,8 +313,8 @@ impl Stage {
         Halt::trip(TripKind::Position, format!("did not arrive in time: {}", words.join(", ")))
     }
 
-    /// Moves over a stand. The radius is always approached from below, so that the backlash of the
-    /// slot has no effect.
+    /// Moves over a stand. The radius is always approached from below, by at least the backlash of the slot, so that it
+    /// has no effect, also after a motion that was interrupted, a jog or a homing.
     ///
     /// # Errors
     /// As `travel`.
@@ -322,17 +325,21 @@ impl Stage {
         let angle = Target::of(AxisName::Radial, slot.angle_deg(radius_mm));
         let radial = control.attending(self.bench.radial.status()).await??;
         let here = slot.radius_mm(radial.position);
+        let below_mm = (radius_mm - slot.backlash_mm).max(slot.radius_mm[0]);
+        let off_mm = 2.0 * self.config.axes.radial.tolerance_deg * slot.mm_per_deg.abs();
+        let is_approached = self.approached_mm.is_some_and(|at| (at - here).abs() <= off_mm);
         let x = Target::of(AxisName::X, target.x_mm);
         let y = Target::of(AxisName::Y, target.y_mm);
-        if here > radius_mm {
+        if here > radius_mm || !is_approached && here > below_mm {
             let low = self.config.axes.radial.travel_deg;
-            let below = slot.angle_deg((radius_mm - slot.backlash_mm).max(slot.radius_mm[0]));
-            let below = Target::of(AxisName::Radial, below.clamp(low[0], low[1]));
+            let below = slot.angle_deg(below_mm).clamp(low[0], low[1]);
+            let below = Target::of(AxisName::Radial, below);
             self.travel(control, &[x, y, below]).await?;
             self.travel(control, &[angle]).await?;
         } else {
             self.travel(control, &[x, y, angle]).await?;
         }
+        self.approached_mm = Some(radius_mm);
         Ok(target)
     }
 
@@ -344,6 +351,7 @@ impl Stage {
     pub async fn home(&mut self, control: &mut Control, entered: Option<u8>) -> Result<(), Halt> {
         self.surface = None;
         self.skin = None;
+        self.approached_mm = None;
         let z = self.bench.z.clone();
         if control.attending(z.status()).await??.homed {
             let top = self.config.axes.z.travel_mm[0];

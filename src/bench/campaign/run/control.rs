@@ -10,6 +10,7 @@ use std::time::Duration;
 
 use jiff::Timestamp;
 use serde_json::json;
+use tokio::time::Instant;
 
 use crate::campaign::bench::estop::StopSwitch;
 use crate::campaign::bench::interlock::{Trip, TripKind};
@@ -34,6 +35,9 @@ const MOTION_ABORTED: &str = "a motion of the rig was aborted, and a person may 
 /// Why no waiting run begins after a pause or an abort that came too late for the run before it.
 const CAME_LATE: &str =
     "a pause or an abort of a run that did not move was requested, and a person may be at the rig";
+/// Why no waiting run begins after a run that ended before a pause that was requested of it.
+pub const ENDED_PAUSING: &str =
+    "a pause of the run before it was requested as it ended, and a person may be at the rig";
 /// Period at which requests are checked while waiting for the store or for a reply, wall time.
 const REQUESTS_POLL: Duration = Duration::from_millis(20);
 
@@ -57,7 +61,8 @@ pub struct Control {
     suspended_for: Option<String>,
     leaving: bool,
     estop_noted: bool,
-    operated: bool,
+    /// When a person requested something of the rig last, while it moved.
+    operated: Option<Instant>,
 }
 
 impl Control {
@@ -76,7 +81,7 @@ impl Control {
             suspended_for: None,
             leaving: false,
             estop_noted: false,
-            operated: false,
+            operated: None,
         }
     }
 
@@ -191,8 +196,8 @@ impl Control {
     fn publish_run_state(&mut self, state: RunState) {
         let change = state.change();
         if state == RunState::Running {
-            // It was the reason of an earlier halt, or of an earlier run.
-            self.suspended_for = None;
+            // They belong to an earlier halt, or to an earlier run.
+            (self.suspended_for, self.operated) = (None, None);
         }
         self.show_run(|run| {
             run.state = change.state;
@@ -349,7 +354,7 @@ impl Control {
             }
         }
         let motion = self.unattended.as_ref();
-        let is_ended = motion.is_some_and(|motion| self.operated || motion.is_locked());
+        let is_ended = motion.is_some_and(|motion| self.operated.is_some() || motion.is_locked());
         if is_ended { Err(Halt::Asked) } else { Ok(()) }
     }
 
@@ -377,7 +382,14 @@ impl Control {
             let _ = answer.send(Ok(()));
             return None;
         }
-        self.operated |= request.rig_action().is_some();
+        if request.rig_action().is_some() {
+            self.operated = Some(Instant::now());
+        }
+        let is_pause = matches!(request, Request::PauseAtCheckpoint | Request::PauseNow);
+        if is_pause && self.run == RunState::Stopping {
+            // It is refused, and the run ends before it.
+            self.attended(ENDED_PAUSING);
+        }
         let outcome = match self.run {
             RunState::Idle => self.asked_without_run(&request),
             _ => self.asked_of_run(&request),
@@ -399,7 +411,7 @@ impl Control {
             }
             Some(event) => self.run_event(event),
             None => {
-                let what = name(request);
+                let what = request.name();
                 Err(Refusal::Busy(format!("{what} is not possible while the rig moves")))
             }
         }
@@ -410,7 +422,7 @@ impl Control {
         if let Some(words) = refused {
             return Err(Refusal::State(words));
         }
-        let what = name(request);
+        let what = request.name();
         match self.run_request(request) {
             // A paused run whose rig homes: it resumes once the rig is ready, not before.
             Some(RunEvent::Resume) if matches!(self.run, RunState::Paused(_)) => {
@@ -428,7 +440,12 @@ impl Control {
 
     /// Whether a person tried to operate the rig while it moved, since this was last taken.
     pub fn take_operated(&mut self) -> bool {
-        std::mem::take(&mut self.operated)
+        self.operated.take().is_some()
+    }
+
+    /// Whether a person has requested something of the rig within this time, while it moved for the present run.
+    pub fn is_operated_within(&self, time: Duration) -> bool {
+        self.operated.is_some_and(|at| at.elapsed() <= time)
     }
 
     /// Event of the run that a request means; none for requests to the rig.
@@ -471,27 +488,4 @@ impl Control {
 
 fn silent() -> JournalError {
     JournalError::of("a record", &format!("no answer within {} s", STORE_LIMIT.as_secs()))
-}
-
-/// Name of the request, for refusals.
-pub fn name(request: &Request) -> &'static str {
-    match request {
-        Request::Connect => "connect",
-        Request::Disconnect => "disconnect",
-        Request::Home => "home",
-        Request::Jog { .. } => "jog",
-        Request::Tare => "tare",
-        Request::Reset => "reset",
-        Request::Mounted { .. } => "tips",
-        Request::Start(_) => "start",
-        Request::PauseAtCheckpoint | Request::PauseNow => "pause",
-        Request::Suspend(..) => "suspend",
-        Request::Resume => "resume",
-        Request::Stop => "stop",
-        Request::Abort | Request::AbortMotion => "abort",
-        Request::Confirm { .. } => "confirm",
-        Request::Repeat { .. } => "repeat",
-        Request::CameLate => "a late pause or abort",
-        Request::Shutdown => "shutdown",
-    }
 }

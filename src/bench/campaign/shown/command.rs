@@ -30,6 +30,8 @@ use crate::rig::traits::Frame;
 const REQUESTS_WAITING: usize = 64;
 /// Longest wait until a request is accepted.
 const TAKE_UP: Duration = Duration::from_secs(10);
+/// Longest time from a request to the answer of work that changes what is stored, wall: its caller still waits.
+pub const ANSWERED_WITHIN: Duration = Duration::from_secs(9);
 
 /// A request to the campaign.
 #[derive(Debug, Clone)]
@@ -117,6 +119,29 @@ impl Request {
             | Self::Repeat { .. }
             | Self::CameLate
             | Self::Shutdown => None,
+        }
+    }
+
+    /// Its name, for refusals.
+    pub fn name(&self) -> &'static str {
+        match self {
+            Self::Connect => "connect",
+            Self::Disconnect => "disconnect",
+            Self::Home => "home",
+            Self::Jog { .. } => "jog",
+            Self::Tare => "tare",
+            Self::Reset => "reset",
+            Self::Mounted { .. } => "tips",
+            Self::Start(_) => "start",
+            Self::PauseAtCheckpoint | Self::PauseNow => "pause",
+            Self::Suspend(..) => "suspend",
+            Self::Resume => "resume",
+            Self::Stop => "stop",
+            Self::Abort | Self::AbortMotion => "abort",
+            Self::Confirm { .. } => "confirm",
+            Self::Repeat { .. } => "repeat",
+            Self::CameLate => "a late pause or abort",
+            Self::Shutdown => "shutdown",
         }
     }
 

@@ -60,7 +60,8 @@ pub async fn measure(
     let (settle_ms, at_rest) = settle(skin, clock, control, plan_measure).await?;
     control.phase(Phase::Measure);
     let before = skin.counters();
-    let frames = skin.take(clock.now(), plan_measure.frames_per_trial as usize).await?;
+    let frames = skin.take(clock.now(), plan_measure.frames_per_trial as usize);
+    let frames = control.attending(frames).await??;
     let after = skin.counters();
     // Nothing is stored of weights that lay while the computer was suspended.
     control.attend()?;
@@ -113,7 +114,8 @@ async fn settle(
     let mut last: Option<Window> = None;
     loop {
         control.attend()?;
-        let window = Window::of(&skin.take(clock.now(), WINDOW).await?);
+        let frames = control.attending(skin.take(clock.now(), WINDOW)).await??;
+        let window = Window::of(&frames);
         let settle_ms = (clock.process_s() - start_s) * 1e3;
         let at_rest = last.as_ref().is_some_and(|last| window.rests_after(last));
         if settle_ms >= measure.settle_ms && at_rest || settle_ms >= measure.settle_max_ms {

@@ -5,7 +5,7 @@ use crate::campaign::bench::evidence::SkinWatch;
 use crate::campaign::bench::stage::Stage;
 use crate::campaign::run::control::Control;
 use crate::campaign::run::halt::Halt;
-use crate::record::{ARMS, Flag, FrameQuality, FrameRecord};
+use crate::record::{ARMS, Flag, FrameQuality, FrameRecord, Pose};
 use crate::rig::traits::{CellVolts, Frame};
 use crate::schedule::experiment::Measure;
 
@@ -19,20 +19,23 @@ pub struct Settled {
 }
 
 /// Waits at least `settle_ms` and until no force changes by more than `settle_n` between samples;
-/// reads the cells at every poll.
+/// reads the cells at every poll. Meanwhile the axes are read once, which must be at `target`.
 ///
 /// # Errors
-/// Halts on a limit, a fault or a request. Forces that do not settle are not an error.
+/// Halts on a limit, an axis off its target, a fault or a request. Forces that do not settle are not an error.
 pub async fn settle(
     stage: &mut Stage,
     control: &mut Control,
     measure: &Measure,
+    target: &Pose,
 ) -> Result<Settled, Halt> {
     let start_s = stage.clock.process_s();
     let sample_s = (stage.config.cells.update_ms / 1e3).max(0.05);
     let mut last = stage.read_cells(control).await?.volts;
     let mut last_s = start_s;
     let mut change_n = f64::INFINITY;
+    // The wait takes no longer for it, and no frame is taken of a load elsewhere.
+    stage.require_reached(control, target).await?;
     loop {
         stage.poll_pause().await;
         control.attend()?;

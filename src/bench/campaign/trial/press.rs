@@ -85,13 +85,14 @@ impl Pressing<'_> {
         configuration: u32,
     ) -> Result<(), Halt> {
         control.phase(Phase::Travel);
-        stage.go_over(control, stand).await?;
+        let over = stage.go_over(control, stand).await?;
         control.phase(Phase::Tare);
         let samples = self.plan.measure.tare_samples;
         let volts = tare::tare_untouched(stage, control, samples, Accept::NearLast).await?;
         let at = stage.clock.timestamp();
         let record = TareRecord { configuration, volts, samples, at };
         control.diary.note(Note::Tare(self.run, record));
+        stage.require_over(control, &over).await?;
         // The tips are up: what was requested meanwhile waits for no further press.
         control.checkpoint()
     }
@@ -109,8 +110,6 @@ impl Pressing<'_> {
         let started_at = stage.clock.timestamp();
         let target = stage.pose_over(&c.stand, self.z_mm(stage, depth_mm)?);
         let (settled, taken, reached) = self.hold(stage, control, &target).await?;
-        // Nothing is stored of a load that was held while the computer was suspended.
-        control.attend()?;
         let held = Held { z_mm: reached.z_mm, forces_n: stage.forces_n(&taken.volts) };
         let limits = &stage.config.limits;
         if let Some(before) = before
@@ -214,10 +213,12 @@ impl Pressing<'_> {
         stage.peak_n = 0.0;
         stage.press_to(control, target.z_mm).await?;
         control.phase(Phase::Settle);
-        let settled = measure::settle(stage, control, &self.plan.measure).await?;
+        let settled = measure::settle(stage, control, &self.plan.measure, target).await?;
         control.phase(Phase::Measure);
         let taken = measure::take(stage, control, &self.plan.measure).await?;
-        let reached = control.attending(stage.reached(target)).await??;
+        let reached = stage.require_reached(control, target).await?;
+        // Nothing is stored of a load that was held while the computer was suspended.
+        control.attend()?;
         let forces = stage.forces_n(&taken.volts);
         let tips = usize::from(stage.tips);
         control.show(|status| {

@@ -22,7 +22,7 @@ use crate::campaign::bench::stage::{AxisName, Height, Stage};
 use crate::campaign::bench::tare;
 use crate::campaign::bench::travel::Target;
 use crate::campaign::diary::Note;
-use crate::campaign::run::control::{Control, name};
+use crate::campaign::run::control::Control;
 use crate::campaign::run::halt::Halt;
 use crate::campaign::safe_end::raise_as_planned;
 use crate::campaign::shown::command::{Envelope, Refusal, Request};
@@ -119,7 +119,7 @@ impl Engine {
                 if halts {
                     self.control.came_late();
                 }
-                let words = format!("{} is not possible: no run is active", name(&request));
+                let words = format!("{} is not possible: no run is active", request.name());
                 Err(Refusal::State(words))
             }
         };

@@ -2,12 +2,16 @@
 //! it.
 //! Uses: `campaign::{run::control, diary, safe_end}`. Never: pressing, a wait for the store.
 
+use std::time::Duration;
+
 use serde_json::json;
 
+use super::recovery::BY_HAND;
 use super::{Attempts, Engine, Next, Owed};
 use crate::campaign::bench::interlock::{Trip, TripKind};
 use crate::campaign::bench::stage::Height;
 use crate::campaign::diary::Note;
+use crate::campaign::run::control::ENDED_PAUSING;
 use crate::campaign::run::halt::Halt;
 use crate::campaign::run::job::Job;
 use crate::campaign::run::run_state::{PausedWhy, RunAction, RunEvent, RunState};
@@ -20,9 +24,8 @@ use crate::schedule::plan::Kind;
 
 /// Why no waiting run begins after a run that was aborted while it moved.
 const ABORTED: &str = "the run before it was aborted, and a person may be at the rig";
-/// Why no waiting run begins after a run that ended before a pause that was requested of it.
-const ENDED_PAUSING: &str =
-    "a pause of the run before it was requested as it ended, and a person may be at the rig";
+/// Time before a trip within which a person who requested something of the rig may be at it, wall.
+const OPERATED_WITHIN: Duration = Duration::from_secs(600);
 
 impl Engine {
     /// Decides what follows a halt, once the rig is safe. Only the state that a trip leads to is noted before, in
@@ -75,7 +78,9 @@ impl Engine {
             Halt::Trip(trip) => {
                 self.note_attempt(job, &trip.detail, attempts);
                 let may = job.auto_resume && trip.kind.may_pass();
-                if may && *auto_resumes < job.plan.policy.max_auto_resumes {
+                if may && self.control.is_operated_within(OPERATED_WITHIN) {
+                    self.control.show_run(|run| run.waiting_for = Some(BY_HAND.into()));
+                } else if may && *auto_resumes < job.plan.policy.max_auto_resumes {
                     *auto_resumes += 1;
                     passing = true;
                 }

@@ -61,6 +61,8 @@ impl Engine {
     /// Takes in the next window of the watched skin.
     pub(super) fn saw(&mut self, seen: Result<Seen, RigError>) {
         match (std::mem::take(&mut self.empty_skin), seen) {
+            // Its caller was told that it failed, and may be placing weights.
+            (EmptySkin::Tared { answer, .. }, _) if answer.is_closed() => {}
             (EmptySkin::Tared { answer, before, windows }, Ok(seen)) => {
                 if before.is_some_and(|before| seen.window.rests_after(&before)) {
                     let skin = UntouchedSkin::tared(seen);

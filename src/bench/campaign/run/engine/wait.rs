@@ -2,16 +2,16 @@
 //! Uses: `campaign::run::control`. Never: pressing.
 
 use serde_json::json;
+use tokio::time::timeout_at;
 
 use super::recovery::{Automatic, BY_HAND};
 use super::skin::next_window;
 use super::{Answer, Attempts, Engine, IDLE_TICK, Last, Next, Owed, Waited};
 use crate::campaign::bench::rig_state::RigState;
 use crate::campaign::bench::stage::Height;
-use crate::campaign::run::control::{STORE_LIMIT, name};
 use crate::campaign::run::job::Job;
 use crate::campaign::run::run_state::{PausedWhy, RunAction, RunEvent, RunState};
-use crate::campaign::shown::command::{Envelope, Refusal, Request};
+use crate::campaign::shown::command::{ANSWERED_WITHIN, Envelope, Refusal, Request};
 use crate::campaign::shown::run_action::NO_PLACEMENT;
 use crate::campaign::shown::status::{Done, Phase, Wanted};
 use crate::ids::TrialKey;
@@ -240,7 +240,7 @@ impl Engine {
                 None
             }
             Request::Start(_) => {
-                let (run, start) = (self.control.run(), name(&request));
+                let (run, start) = (self.control.run(), request.name());
                 let (state, next) = (run.as_str(), run.allowed());
                 let words = format!("{start} is not possible while the run is {state}: {next}");
                 let _ = answer.send(Err(Refusal::State(words)));
@@ -299,7 +299,8 @@ impl Engine {
     }
 
     /// Withdraws a stored placement: the named one, otherwise the last one that was measured since the
-    /// start of the service. Before that one, which trial a person means is not known. After a refusal it stays stored.
+    /// start of the service. Before that one, which trial a person means is not known. After a refusal it stays
+    /// stored, unless that states that the store does not answer and that it must be read later.
     async fn repeat(
         &mut self,
         job: &Job,
@@ -326,10 +327,19 @@ impl Engine {
                 return Err(Refusal::State(words));
             }
         };
-        self.control.flush().await.map_err(failed)?;
-        let progress = self.control.journal.progress(job.run).await.map_err(failed)?;
+        // It is answered while its caller waits, who otherwise is told that it failed.
+        let deadline = self.decided_at.1 + ANSWERED_WITHIN;
+        let silent =
+            |outcome: &str| Refusal::State(format!("the store does not answer: {outcome}"));
+        let read = async {
+            self.control.flush().await?;
+            self.control.journal.progress(job.run).await
+        };
+        let Ok(progress) = timeout_at(deadline, read).await else {
+            return Err(silent(&format!("trial {configuration} stays stored")));
+        };
         let key = TrialKey { configuration, depth_index: 0 };
-        if !progress.stored.contains(&key) {
+        if !progress.map_err(failed)?.stored.contains(&key) {
             return Err(Refusal::State(format!("trial {configuration} is not stored")));
         }
         if answer.is_closed() {
@@ -337,11 +347,8 @@ impl Engine {
         }
         // Not by the diary, which would withdraw it later although its caller was told that it failed.
         let withdrawn = self.control.journal.discard(job.run, key, why);
-        let Ok(withdrawn) = tokio::time::timeout(STORE_LIMIT, withdrawn).await else {
-            let words = format!(
-                "the store does not answer: read later whether trial {configuration} is stored"
-            );
-            return Err(Refusal::State(words));
+        let Ok(withdrawn) = timeout_at(deadline, withdrawn).await else {
+            return Err(silent(&format!("read later whether trial {configuration} is stored")));
         };
         withdrawn.map_err(failed)?;
         tracing::info!(configuration, reason = why, "a trial was withdrawn");

@@ -1,4 +1,5 @@
-//! What ends an automatic resume before and while the rig homes for it: a person who operates the rig or takes the lock.
+//! What ends an automatic resume before and while the rig homes for it: a person who operates the rig or takes the
+//! lock; and a pause that comes too late.
 
 use std::sync::atomic::Ordering;
 use std::time::Duration;
@@ -7,9 +8,11 @@ use jiff::Timestamp;
 
 use super::super::recovery::BY_HAND;
 use super::super::{Attempts, Next};
-use super::{job, trip, with_handle};
+use super::{begin, job, signs, trip, with_handle};
+use crate::campaign::bench::interlock::TripKind;
 use crate::campaign::bench::rig_state::RigState;
-use crate::campaign::run::run_state::{PausedWhy, RunState};
+use crate::campaign::run::halt::Halt;
+use crate::campaign::run::run_state::{PausedWhy, RunEvent, RunState};
 use crate::campaign::shown::command::Request;
 use crate::campaign::shown::status::Status;
 use crate::rig::traits::AxisStatus;
@@ -78,5 +81,49 @@ async fn a_homing_for_an_automatic_resume_ends_once_a_person_takes_the_lock_or_o
         assert!(matches!(next, Next::Leave) && is_held);
         let states = (engine.control.rig(), engine.control.run());
         assert_eq!(states, (RigState::Disarmed, RunState::Paused(PausedWhy::Trip)));
+    }
+}
+
+#[tokio::test]
+async fn a_run_does_not_resume_by_itself_if_a_person_requested_a_motion_shortly_before_its_trip() {
+    for is_operated in [false, true] {
+        let (job, (_, mut engine, handle)) = (job(), with_handle());
+        begin(&mut engine, &job);
+        if is_operated {
+            let moves = async {
+                tokio::task::yield_now().await;
+                engine.control.attend()
+            };
+            let (refused, moved) = tokio::join!(handle.ask(Request::Home), moves);
+            assert!(refused.is_err() && moved.is_ok(), "{refused:?}");
+        }
+        // Without a handle there is no request to wait for.
+        drop(handle);
+        let (mut attempts, mut resumes) = (Attempts::default(), 0);
+        let halt = Halt::trip(TripKind::Wire, "no reply");
+        let next = engine.decide(&job, halt, &mut attempts, &mut resumes).await;
+        assert!(matches!(next, Next::Leave));
+        assert_eq!(resumes, u32::from(!is_operated));
+        let run = engine.control.inbox.status.borrow().run.clone().expect("a run");
+        let words = if is_operated { BY_HAND } else { "no reply" };
+        assert_eq!(run.waiting_for.as_deref(), Some(words));
+        engine.control.run_event(RunEvent::Resume).unwrap();
+        assert!(!engine.control.take_operated(), "a person has resumed it");
+    }
+}
+
+#[tokio::test]
+async fn no_waiting_run_begins_after_a_run_of_which_a_pause_was_requested_as_it_stopped() {
+    for request in [Request::PauseAtCheckpoint, Request::PauseNow] {
+        let (job, (_, mut engine, handle)) = (job(), with_handle());
+        begin(&mut engine, &job);
+        engine.control.run_event(RunEvent::Stop).unwrap();
+        let moves = async {
+            tokio::task::yield_now().await;
+            engine.control.attend()
+        };
+        let (refused, moved) = tokio::join!(handle.ask(request), moves);
+        assert!(refused.is_err() && moved.is_ok(), "{refused:?}");
+        assert_eq!((engine.control.run(), signs(&engine)), (RunState::Stopping, 1));
     }
 }

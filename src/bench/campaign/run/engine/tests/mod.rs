@@ -27,6 +27,7 @@ use crate::campaign::shown::status::{Done, Wanted};
 use crate::clock::Clock;
 use crate::ids::{RunUid, TrialKey};
 use crate::journal::{ExitStatus, Journal};
+use crate::record::TouchOffRecord;
 use crate::rig::setup::RigSetup;
 use crate::rig::traits::AxisStatus;
 use crate::schedule::experiment::Experiment;
@@ -34,6 +35,7 @@ use crate::schedule::plan::{Kind, Plan};
 use crate::suspension::Suspensions;
 
 mod attended;
+mod frames;
 mod motions;
 mod owed;
 mod pausing;
@@ -89,6 +91,17 @@ pub(super) fn job() -> Job {
 fn parts(engine: &mut Engine) -> (&mut Stage, &mut Control) {
     let stage = engine.connection.as_mut().and_then(|open| open.stage.as_mut());
     (stage.expect("a stage"), &mut engine.control)
+}
+
+/// The surface of a touch-off with one tip.
+fn surface() -> TouchOffRecord {
+    TouchOffRecord {
+        tips: 1,
+        surface_z_mm: 60.0,
+        tip_offset_mm: vec![(1, 0.0)],
+        touches: Vec::new(),
+        at: jiff::Timestamp::UNIX_EPOCH,
+    }
 }
 
 /// The run is active.

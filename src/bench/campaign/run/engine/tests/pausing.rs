@@ -6,7 +6,7 @@ use std::time::Duration;
 use jiff::Timestamp;
 
 use super::super::{Attempts, Next};
-use super::{begin, engine, job, parts, trip, with_handle};
+use super::{begin, engine, job, parts, surface, trip, with_handle};
 use crate::campaign::bench::touch_off::touch_off;
 use crate::campaign::run::eta::Pace;
 use crate::campaign::run::halt::Halt;
@@ -15,7 +15,6 @@ use crate::campaign::shown::command::{Refusal, Request};
 use crate::campaign::shown::status::{Motion, Status, Wanted};
 use crate::campaign::trial::press::Pressing;
 use crate::ids::RunUid;
-use crate::record::TouchOffRecord;
 use crate::schedule::plan::Step;
 
 #[tokio::test]
@@ -27,13 +26,7 @@ async fn a_pause_or_a_stop_that_is_requested_before_a_press_waits_for_no_press()
         engine.control.run_event(request).unwrap();
         let (stage, control) = parts(&mut engine);
         stage.tips = 1;
-        stage.surface = Some(TouchOffRecord {
-            tips: 1,
-            surface_z_mm: 60.0,
-            tip_offset_mm: vec![(1, 0.0)],
-            touches: Vec::new(),
-            at: Timestamp::UNIX_EPOCH,
-        });
+        stage.surface = Some(surface());
         let pressing = Pressing { run: job.run, plan: &job.plan, attempt: 1 };
         let mut presses = 0;
         for step in &job.plan.steps {

@@ -1,70 +1,28 @@
-//! A placement of weights: what is stored, and what is withdrawn when it is repeated.
+//! Placements of weights: what is withdrawn when one is repeated, and when the empty skin is tared.
 
-use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::Ordering;
+use std::time::Duration;
 
-use async_trait::async_trait;
-use tokio::sync::broadcast;
+use tokio::sync::oneshot;
 use tokio::time::Instant;
 
-use super::super::{Attempts, Next};
-use super::{begin, engine, job, suspensions, with_handle};
-use crate::campaign::run::halt::Halt;
+use super::super::{Attempts, Engine, Next};
+use super::{abandoned, begin, engine, job, with_handle};
+use crate::campaign::run::job::Job;
 use crate::campaign::run::run_state::{PausedWhy, RunEvent};
 use crate::campaign::shown::command::{Refusal, Request};
-use crate::campaign::shown::placement::Confirmation;
 use crate::campaign::shown::status::Wanted;
-use crate::campaign::trial::manual::{self, Confirmed};
+use crate::campaign::trial::untouched::Seen;
 use crate::clock::Clock;
 use crate::ids::TrialKey;
-use crate::rig::error::RigError;
-use crate::rig::traits::{Frame, SkinReader, StreamCounters};
-use crate::schedule::experiment::Measure;
-use crate::schedule::manual::PlannedPlacement;
 
-/// A skin whose computer is suspended as the frame of a trial is taken.
-struct Suspending {
-    skin: Arc<dyn SkinReader>,
-    suspended_s: Arc<AtomicU64>,
-}
-
-#[async_trait]
-impl SkinReader for Suspending {
-    fn latest(&self) -> Option<Arc<Frame>> {
-        self.skin.latest()
-    }
-
-    fn follow(&self) -> broadcast::Receiver<Arc<Frame>> {
-        self.skin.follow()
-    }
-
-    fn counters(&self) -> StreamCounters {
-        self.skin.counters()
-    }
-
-    async fn take(&self, not_before: Instant, count: usize) -> Result<Vec<Arc<Frame>>, RigError> {
-        // Not in the windows in which it settles.
-        if count == 1 {
-            self.suspended_s.store(3600, Ordering::SeqCst);
-        }
-        self.skin.take(not_before, count).await
-    }
-}
-
-#[tokio::test]
-async fn nothing_is_stored_of_weights_under_which_the_computer_was_suspended() {
-    let (job, (_, mut engine)) = (job(), engine());
-    begin(&mut engine, &job);
-    let suspended_s = suspensions(&mut engine);
-    let skin = engine.connection.as_ref().map(|open| open.skin.clone()).expect("open wires");
-    let skin: Arc<dyn SkinReader> = Arc::new(Suspending { skin, suspended_s });
-    let measure = Measure { settle_ms: 0.0, ..Measure::default() };
-    let placement = PlannedPlacement { index: 0, contacts: Vec::new() };
-    let confirmation = Confirmation::of("ada".into());
-    let confirmed = Confirmed { run: job.run, confirmation, measure: &measure, attempt: 1 };
-    let (clock, control) = (Clock::new(1.0), &mut engine.control);
-    let measured = manual::measure(&skin, &clock, control, confirmed, &placement).await;
-    assert!(matches!(measured, Err(Halt::Trip(_))), "{measured:?}");
+/// The run waits for its second placement.
+fn await_placement(engine: &mut Engine, job: &Job) {
+    begin(engine, job);
+    engine.control.run_event(RunEvent::Need(PausedWhy::ManualTrial)).unwrap();
+    engine.control.run_event(RunEvent::Raised).unwrap();
+    let wanted = Wanted::Placement { trial: 1, contacts: Vec::new() };
+    engine.control.show_run(|run| run.wanted = Some(wanted));
 }
 
 #[tokio::test]
@@ -73,11 +31,7 @@ async fn a_repeat_that_the_store_does_not_take_withdraws_nothing_later() {
     let (journal, diary) = (axes.journal.clone(), engine.control.diary.clone());
     journal.stored.lock().insert(TrialKey { configuration: 0, depth_index: 0 });
     journal.discards_fail.store(true, Ordering::SeqCst);
-    begin(&mut engine, &job);
-    engine.control.run_event(RunEvent::Need(PausedWhy::ManualTrial)).unwrap();
-    engine.control.run_event(RunEvent::Raised).unwrap();
-    let wanted = Wanted::Placement { trial: 1, contacts: Vec::new() };
-    engine.control.show_run(|run| run.wanted = Some(wanted));
+    await_placement(&mut engine, &job);
     let repeats = async move {
         let repeat = || Request::Repeat { trial: Some(0), why: "a weight slipped".into() };
         let refused = handle.ask(repeat()).await;
@@ -92,4 +46,39 @@ async fn a_repeat_that_the_store_does_not_take_withdraws_nothing_later() {
     let mut attempts = Attempts::default();
     let ((), next) = tokio::join!(repeats, engine.wait(&job, &mut attempts, None));
     assert!(matches!(next, Next::Again));
+}
+
+#[tokio::test]
+async fn a_repeat_that_may_still_withdraw_a_trial_is_answered_while_its_caller_waits() {
+    let (job, (axes, mut engine, handle)) = (job(), with_handle());
+    axes.journal.stored.lock().insert(TrialKey { configuration: 0, depth_index: 0 });
+    *axes.journal.discards_take.lock() = Duration::from_secs(60);
+    await_placement(&mut engine, &job);
+    let repeat = Request::Repeat { trial: Some(0), why: "a weight slipped".into() };
+    // Most of the time has passed.
+    let decided_at = (jiff::Timestamp::now(), Instant::now() - Duration::from_secs(8));
+    // Without a handle there is no request to wait for.
+    let repeats = async move { handle.ask_since(repeat, 0, decided_at).await };
+    let mut attempts = Attempts::default();
+    let (refused, next) = tokio::join!(repeats, engine.wait(&job, &mut attempts, None));
+    let Err(Refusal::State(words)) = &refused else { panic!("{refused:?}") };
+    assert!(words.starts_with("the store does not answer: "), "{words}");
+    assert!(matches!(next, Next::Leave));
+}
+
+#[tokio::test]
+async fn the_skin_is_not_tared_once_its_caller_was_told_that_it_failed() {
+    let (_, mut engine) = engine();
+    let skin = engine.connection.as_ref().map(|open| open.skin.clone()).expect("open wires");
+    let seen = Seen::next(&skin, &Clock::new(1.0)).await.unwrap();
+    let (answer, answered) = oneshot::channel();
+    for (answer, is_tared) in [(abandoned(), false), (answer, true)] {
+        engine.tare_skin(answer);
+        // The second window shows that the skin is at rest.
+        for _ in 0..2 {
+            engine.saw(Ok(seen.clone()));
+        }
+        assert_eq!(engine.control.inbox.untouched.borrow().is_some(), is_tared);
+    }
+    assert_eq!(answered.await, Ok(Ok(())));
 }

@@ -1,4 +1,4 @@
-//! How fast z presses, and what follows if its samples come late.
+//! How fast z presses, what follows if its samples come late, and if another axis leaves its place.
 
 use std::sync::atomic::Ordering;
 use std::time::Duration;
@@ -6,7 +6,7 @@ use std::time::Duration;
 use parking_lot::Mutex;
 
 use super::super::Engine;
-use super::{engine, job, parts};
+use super::{begin, engine, job, parts, surface, with_handle};
 use crate::campaign::bench::descent::Descent;
 use crate::campaign::bench::interlock::TripKind;
 use crate::campaign::bench::stage::{AxisName, Stage};
@@ -14,7 +14,11 @@ use crate::campaign::bench::stand_in::StandIns;
 use crate::campaign::bench::touch_off;
 use crate::campaign::bench::travel::{Target, predicted_s};
 use crate::campaign::run::control::Control;
+use crate::campaign::run::job::Job;
+use crate::campaign::shown::status::{Phase, Status};
+use crate::campaign::trial::press::Pressing;
 use crate::rig::traits::AxisStatus;
+use crate::schedule::configuration::Stand;
 use crate::schedule::plan::Step;
 
 /// Longest wait of a test for what must happen, also on a loaded machine.
@@ -32,6 +36,15 @@ fn patient(engine: &mut Engine) -> (&mut Stage, &mut Control) {
     let (stage, control) = parts(engine);
     stage.config.limits.sample_age_ms = Some(60_000);
     (stage, control)
+}
+
+/// The first place of the touch-off.
+fn first_place(job: &Job) -> Stand {
+    let place = job.plan.steps.iter().find_map(|step| match step {
+        Step::TouchOff { places, .. } => places.first().cloned(),
+        _ => None,
+    });
+    place.expect("a touch-off")
 }
 
 /// What z reports once its next motion was started: it moves until it is stopped.
@@ -196,12 +209,7 @@ async fn a_press_does_not_start_on_a_sample_that_is_too_old_once_z_was_read() {
 
 #[tokio::test]
 async fn a_touch_off_searches_no_tip_below_the_window_of_the_surface() {
-    let job = job();
-    let place = job.plan.steps.iter().find_map(|step| match step {
-        Step::TouchOff { places, .. } => places.first().cloned(),
-        _ => None,
-    });
-    let places = [place.expect("a touch-off")];
+    let places = [first_place(&job())];
     for (is_felt_again, kind, words) in [
         (true, TripKind::Cell, "arm 2 touched nowhere in the touch-off (skin.surface_z_mm"),
         (false, TripKind::Position, "no cell detected the surface down to z = 70.000 mm (skin."),
@@ -245,4 +253,77 @@ async fn a_motion_has_the_time_that_it_takes_at_the_speed_to_which_its_drive_rou
             (predicted_s(&stage.driven(AxisName::Z), &target, 0.0), 10.0 * 6.0 / rounded);
         assert!(takes <= predicted && predicted <= 2.1 * takes, "{predicted} s, {takes} s");
     }
+}
+
+/// A press of a configuration, in which what x reports changes in this phase: the kind of the trip, the phase in which
+/// it trips, and the motions of z that were started.
+async fn disturbed(during: Phase, change: fn(&mut AxisStatus)) -> (TripKind, Phase, u64) {
+    let (mut job, (axes, mut engine, handle)) = (job(), with_handle());
+    job.plan.measure.settle_ms = 0.0;
+    begin(&mut engine, &job);
+    // The press waits here, so that x changes while z moves.
+    *axes.z.starts_take.lock() = Duration::from_millis(5);
+    let (stage, control) = patient(&mut engine);
+    stage.config.limits.frame_age_ms = 60_000;
+    stage.tips = 1;
+    stage.surface = Some(surface());
+    let configuration = job.plan.steps.iter().find_map(|step| match step {
+        Step::Configuration(c) => Some(c),
+        _ => None,
+    });
+    let pressing = Pressing { run: job.run, plan: &job.plan, attempt: 1 };
+    let press = pressing.configuration(stage, control, configuration.expect("one"), &[0]);
+    let mut status = handle.watch_status();
+    let disturb = async {
+        let is_in = |now: &Status| now.run.as_ref().is_some_and(|run| run.phase == during);
+        drop(status.wait_for(is_in).await.unwrap());
+        change(&mut axes.x.status.lock());
+    };
+    let both = async { tokio::join!(press, disturb) };
+    let (pressed, ()) = tokio::time::timeout(HAPPENS_WITHIN, both).await.expect("it trips");
+    let halt = pressed.unwrap_err();
+    let trip = halt.as_trip().expect("a trip");
+    assert!(trip.detail.starts_with("x "), "{}", trip.detail);
+    let phase = handle.status().run.expect("a run").phase;
+    (trip.kind, phase, axes.z.starts.load(Ordering::SeqCst))
+}
+
+#[tokio::test]
+async fn an_axis_that_leaves_its_place_ends_the_press_before_frames_are_taken_or_stored() {
+    let leaves = |x: &mut AxisStatus| x.position += 1.0;
+    let before = disturbed(Phase::Tare, leaves).await;
+    assert_eq!(before, (TripKind::Position, Phase::Tare, 0), "no tip goes down");
+    let trip = async |during, change: fn(&mut AxisStatus)| {
+        let (kind, phase, _) = disturbed(during, change).await;
+        (kind, phase)
+    };
+    assert_eq!(trip(Phase::Press, leaves).await, (TripKind::Position, Phase::Settle));
+    assert_eq!(trip(Phase::Settle, leaves).await, (TripKind::Position, Phase::Measure));
+    // It may be moved freely, or has another zero: where it reports to be proves nothing.
+    let alarm = |x: &mut AxisStatus| x.alarm = Some(1);
+    assert_eq!(trip(Phase::Press, alarm).await, (TripKind::Device, Phase::Settle));
+    assert_eq!(trip(Phase::Settle, alarm).await, (TripKind::Device, Phase::Measure));
+    let restarts = |x: &mut AxisStatus| x.homed = false;
+    assert_eq!(trip(Phase::Press, restarts).await, (TripKind::Position, Phase::Settle));
+}
+
+#[tokio::test]
+async fn no_place_is_touched_that_an_axis_has_left_during_the_tare() {
+    let places = [first_place(&job())];
+    let (axes, mut engine) = engine();
+    let (stage, control) = patient(&mut engine);
+    stage.tips = 1;
+    let touches = touch_off::touch_off(stage, control, &places, 1, jiff::Timestamp::UNIX_EPOCH);
+    let leave = async {
+        while axes.x.starts.load(Ordering::SeqCst) == 0 {
+            tokio::time::sleep(Duration::from_millis(1)).await;
+        }
+        axes.x.status.lock().position += 1.0;
+    };
+    let both = async { tokio::join!(touches, leave) };
+    let (touched, ()) = tokio::time::timeout(HAPPENS_WITHIN, both).await.expect("it trips");
+    let halt = touched.unwrap_err();
+    let trip = halt.as_trip().expect("a trip");
+    assert!(trip.detail.starts_with("x measured at "), "{}", trip.detail);
+    assert_eq!(axes.z.starts.load(Ordering::SeqCst), 1, "it was raised only");
 }

@@ -6,7 +6,7 @@ use std::time::Duration;
 use tokio::sync::oneshot;
 use tokio::time::Instant;
 
-use super::{engine, parts, with_handle};
+use super::{engine, job, parts, with_handle};
 use crate::campaign::bench::interlock::TripKind;
 use crate::campaign::bench::rig_state::RigState;
 use crate::campaign::bench::stage::AxisName;
@@ -15,6 +15,8 @@ use crate::campaign::bench::travel::Target;
 use crate::campaign::run::halt::Halt;
 use crate::campaign::shown::command::Request;
 use crate::rig::traits::AxisStatus;
+use crate::schedule::configuration::Stand;
+use crate::schedule::plan::Step;
 
 /// Longest wait of a test for a motion that must end, also on a loaded machine.
 const ENDS_WITHIN: Duration = Duration::from_secs(10);
@@ -448,4 +450,33 @@ async fn a_homing_that_ends_outside_the_travel_is_none() {
     assert!(!engine.home().await);
     let trip = engine.control.inbox.status.borrow().rig.trip.clone();
     assert_eq!(trip.map(|trip| trip.kind), Some(TripKind::Position));
+}
+
+#[tokio::test]
+async fn a_radius_is_approached_by_the_backlash_although_a_motion_has_ended_close_below_it() {
+    let (job, (axes, mut engine)) = (job(), engine());
+    let (stage, control) = parts(&mut engine);
+    let slot = stage.config.slot.clone();
+    assert_eq!(slot.backlash_mm, 0.3);
+    let stand = job.plan.steps.iter().find_map(|step| match step {
+        Step::Configuration(c) => Some(c.stand.clone()),
+        _ => None,
+    });
+    let stand = |radius_mm| Stand { radius_mm, ..stand.clone().expect("a configuration") };
+    // Radii that were commanded since the last call.
+    let commanded = || {
+        let angles = std::mem::take(&mut *axes.radial.targets.lock());
+        angles.iter().map(|deg| (slot.radius_mm(*deg) * 1e3).round() / 1e3).collect::<Vec<_>>()
+    };
+    // A decrease was interrupted here.
+    axes.radial.status.lock().position = slot.angle_deg(59.9);
+    stage.go_over(control, &stand(60.0)).await.unwrap();
+    assert_eq!(commanded(), [59.7, 60.0]);
+    stage.go_over(control, &stand(60.2)).await.unwrap();
+    assert_eq!(commanded(), [60.2], "it only grew");
+    // A jog.
+    let jog = [Target::of(AxisName::Radial, slot.angle_deg(60.1))];
+    stage.travel(control, &jog).await.unwrap();
+    stage.go_over(control, &stand(60.2)).await.unwrap();
+    assert_eq!(commanded(), [60.1, 59.9, 60.2]);
 }

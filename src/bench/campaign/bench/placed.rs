@@ -1,0 +1,97 @@
+//! Where the axes are: read, and compared with their targets before z presses and while it holds a load.
+//! Uses: `campaign::{bench::stage, bench::travel, bench::interlock, run::control}`. Never: the plan, storage, a motion.
+//!
+//! Not while z presses: on a wire that the axes share, each poll would be longer, and each press slower. Until they are
+//! read the limits of the forces hold.
+
+use crate::campaign::bench::interlock::{self, TripKind};
+use crate::campaign::bench::stage::Stage;
+use crate::campaign::bench::travel::{require_no_alarm, require_zero};
+use crate::campaign::run::control::Control;
+use crate::campaign::run::halt::Halt;
+use crate::record::Pose;
+use crate::rig::config::RigConfig;
+use crate::rig::error::RigError;
+use crate::rig::traits::{AxisStatus, Bench};
+
+impl Stage {
+    /// Reads the positions of all four axes.
+    ///
+    /// # Errors
+    /// Halts if a device does not reply.
+    pub async fn pose(&self) -> Result<Pose, Halt> {
+        Ok(pose_of(&self.config, &read(&self.bench).await?))
+    }
+
+    /// Checks before z presses that the other axes still are over this place: the tare took a while. `over`: z is not
+    /// compared.
+    ///
+    /// # Errors
+    /// Trips if one is not, or if an axis has an alarm or no zero; halts if a device does not reply, or on a request.
+    pub async fn require_over(&self, control: &mut Control, over: &Pose) -> Result<(), Halt> {
+        let placed = reached(&self.bench, &self.config, over, None);
+        control.attending(placed).await?.map(drop)
+    }
+
+    /// Reads the positions of all axes while a load is held, compares them with their targets, and checks the cells
+    /// meanwhile.
+    ///
+    /// # Errors
+    /// Trips if an axis is off its target, see [`interlock::off_target`], or has an alarm or no zero; as
+    /// `watch_while`; halts if a device does not reply.
+    pub async fn require_reached(
+        &mut self,
+        control: &mut Control,
+        target: &Pose,
+    ) -> Result<Pose, Halt> {
+        let (bench, config) = (self.bench.clone(), self.config.clone());
+        let reads = reached(&bench, &config, target, Some(target.z_mm));
+        self.watch_while(control, reads).await?
+    }
+}
+
+/// Reads the axes and checks them. If one is not as it must be, all are read again: Modbus TCP has no checksum, and a
+/// flipped bit does not recur. `z_mm`: target of z; none if z is not compared.
+async fn reached(
+    bench: &Bench,
+    config: &RigConfig,
+    target: &Pose,
+    z_mm: Option<f64>,
+) -> Result<Pose, Halt> {
+    let first = checked(bench, config, &read(bench).await?, target, z_mm);
+    if first.is_ok() {
+        return first;
+    }
+    checked(bench, config, &read(bench).await?, target, z_mm)
+}
+
+fn checked(
+    bench: &Bench,
+    config: &RigConfig,
+    axes: &[AxisStatus; 4],
+    target: &Pose,
+    z_mm: Option<f64>,
+) -> Result<Pose, Halt> {
+    for (axis, status) in [&bench.x, &bench.y, &bench.z, &bench.radial].into_iter().zip(axes) {
+        require_no_alarm(axis.as_ref(), status)?;
+        require_zero(axis.as_ref(), status)?;
+    }
+    let pose = pose_of(config, axes);
+    let target = Pose { z_mm: z_mm.unwrap_or(pose.z_mm), ..*target };
+    match interlock::off_target(config, &pose, &target) {
+        Some(words) => Err(Halt::trip(TripKind::Position, words)),
+        None => Ok(pose),
+    }
+}
+
+/// Reads x, y, z and the radial axis.
+async fn read(bench: &Bench) -> Result<[AxisStatus; 4], RigError> {
+    let (x, y, z, radial) =
+        futures::join!(bench.x.status(), bench.y.status(), bench.z.status(), bench.radial.status());
+    Ok([x?, y?, z?, radial?])
+}
+
+fn pose_of(config: &RigConfig, [x, y, z, radial]: &[AxisStatus; 4]) -> Pose {
+    let radius_mm = config.slot.radius_mm(radial.position);
+    Pose { x_mm: x.position, y_mm: y.position, z_mm: z.position, radius_mm }
+}

@@ -1,0 +1,125 @@
+//! The frame of a trial: nothing is stored of it if the computer was suspended as it was taken, and no request waits
+//! for it.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Duration;
+
+use async_trait::async_trait;
+use tokio::sync::broadcast;
+use tokio::time::Instant;
+
+use super::{begin, engine, job, parts, surface, suspensions, with_handle};
+use crate::campaign::bench::interlock::TripKind;
+use crate::campaign::run::control::Control;
+use crate::campaign::run::halt::Halt;
+use crate::campaign::run::job::Job;
+use crate::campaign::run::run_state::{PausedWhy, RunState};
+use crate::campaign::shown::command::Request;
+use crate::campaign::shown::placement::Confirmation;
+use crate::campaign::shown::status::{Phase, Status};
+use crate::campaign::trial::manual::{self, Confirmed};
+use crate::campaign::trial::press::Pressing;
+use crate::clock::Clock;
+use crate::rig::error::RigError;
+use crate::rig::traits::{Frame, SkinReader, StreamCounters};
+use crate::schedule::experiment::Measure;
+use crate::schedule::manual::PlannedPlacement;
+use crate::schedule::plan::Step;
+
+/// A skin whose computer is suspended as the frame of a trial is taken, or which never sends that frame.
+struct Late {
+    skin: Arc<dyn SkinReader>,
+    /// Seconds for which the computer was suspended; none if the frame does not come.
+    suspended_s: Option<Arc<AtomicU64>>,
+}
+
+#[async_trait]
+impl SkinReader for Late {
+    fn latest(&self) -> Option<Arc<Frame>> {
+        self.skin.latest()
+    }
+
+    fn follow(&self) -> broadcast::Receiver<Arc<Frame>> {
+        self.skin.follow()
+    }
+
+    fn counters(&self) -> StreamCounters {
+        self.skin.counters()
+    }
+
+    async fn take(&self, not_before: Instant, count: usize) -> Result<Vec<Arc<Frame>>, RigError> {
+        // Not in the windows in which it settles, nor those of a tare.
+        if count == 1 {
+            match &self.suspended_s {
+                Some(suspended_s) => suspended_s.store(3600, Ordering::SeqCst),
+                None => std::future::pending().await,
+            }
+        }
+        self.skin.take(not_before, count).await
+    }
+}
+
+/// Measures a placement.
+async fn placed(skin: Late, control: &mut Control, job: &Job) -> Result<(), Halt> {
+    let skin: Arc<dyn SkinReader> = Arc::new(skin);
+    let measure = Measure { settle_ms: 0.0, ..Measure::default() };
+    let placement = PlannedPlacement { index: 0, contacts: Vec::new() };
+    let confirmation = Confirmation::of("ada".into());
+    let confirmed = Confirmed { run: job.run, confirmation, measure: &measure, attempt: 1 };
+    manual::measure(&skin, &Clock::new(1.0), control, confirmed, &placement).await
+}
+
+#[tokio::test]
+async fn nothing_is_stored_of_weights_under_which_the_computer_was_suspended() {
+    let (job, (_, mut engine)) = (job(), engine());
+    begin(&mut engine, &job);
+    let suspended_s = Some(suspensions(&mut engine));
+    let skin = engine.connection.as_ref().map(|open| open.skin.clone()).expect("open wires");
+    let measured = placed(Late { skin, suspended_s }, &mut engine.control, &job).await;
+    assert!(matches!(measured, Err(Halt::Trip(_))), "{measured:?}");
+}
+
+#[tokio::test]
+async fn nothing_is_stored_of_a_reference_press_under_which_the_computer_was_suspended() {
+    let (mut job, (axes, mut engine)) = (job(), engine());
+    job.plan.measure.settle_ms = 0.0;
+    begin(&mut engine, &job);
+    let suspended_s = Some(suspensions(&mut engine));
+    let (stage, control) = parts(&mut engine);
+    stage.bench.skin = Arc::new(Late { skin: stage.bench.skin.clone(), suspended_s });
+    (stage.tips, stage.surface) = (1, Some(surface()));
+    stage.config.limits.frame_age_ms = 60_000;
+    stage.config.limits.sample_age_ms = Some(60_000);
+    let press = job.plan.steps.iter().find_map(|step| match step {
+        Step::Reference(press) => Some(press),
+        _ => None,
+    });
+    let pressing = Pressing { run: job.run, plan: &job.plan, attempt: 1 };
+    let pressed = pressing.reference(stage, control, press.expect("a reference")).await;
+    let halt = pressed.unwrap_err();
+    assert_eq!(halt.as_trip().map(|trip| trip.kind), Some(TripKind::Service), "{halt:?}");
+    engine.control.flush().await.unwrap();
+    let events = axes.journal.events.lock().clone();
+    assert!(!events.iter().any(|kind| kind == "reference"), "{events:?}");
+}
+
+#[tokio::test]
+async fn a_pause_of_a_placement_does_not_wait_for_its_frames() {
+    let (job, (_, mut engine, handle)) = (job(), with_handle());
+    begin(&mut engine, &job);
+    let skin = engine.connection.as_ref().map(|open| open.skin.clone()).expect("open wires");
+    let late = Late { skin, suspended_s: None };
+    let mut status = handle.watch_status();
+    let pause = async {
+        let is_measured =
+            |now: &Status| now.run.as_ref().is_some_and(|run| run.phase == Phase::Measure);
+        drop(status.wait_for(is_measured).await.unwrap());
+        handle.ask(Request::PauseNow).await
+    };
+    let both = async { tokio::join!(placed(late, &mut engine.control, &job), pause) };
+    let both = tokio::time::timeout(Duration::from_secs(30), both).await;
+    let (measured, paused) = both.expect("it ends");
+    assert!(matches!(measured, Err(Halt::Asked)) && paused.is_ok(), "{measured:?} {paused:?}");
+    assert_eq!(engine.control.run(), RunState::Suspending(PausedWhy::Operator));
+}

@@ -1,0 +1,142 @@
+//! Brings the rig up for a run of the earlier process: opens the wires and homes, until a person comes to the rig.
+//! Uses: `conductor::take_over` (since when none came), `campaign` (its handle). Never: motion except through it, HTTP.
+
+use std::time::Duration;
+
+use super::take_over::Unattended;
+use super::{Conductor, ConductorError, ConductorResult};
+use crate::campaign::bench::rig_state::RigState;
+use crate::campaign::bench::travel::HOMING_WAIT;
+use crate::campaign::shown::command::{Refusal, Request};
+use crate::ids::RunUid;
+use crate::store::{RunKind, RunRow};
+
+/// Interval of polling the rig's state.
+const HOMING_POLL: Duration = Duration::from_millis(50);
+/// Interval of reading the operator lock meanwhile.
+const HOMING_LOCK_POLL: Duration = Duration::from_millis(200);
+
+impl Conductor {
+    /// Opens the wires and homes the rig, as needed. A skin alone has nothing to home, and for a manual run nothing
+    /// moves: a person's hands may be on the skin. After a crash the first motion is z up, as in every homing. It ends
+    /// if a person comes to the rig: one operates it, holds or aborts the run, or takes the operator lock.
+    pub(super) async fn bring_up(&self, run: &RunRow, before: Unattended) -> ConductorResult<()> {
+        let campaign = &self.inner.campaign;
+        if campaign.status().rig.state == RigState::Disconnected {
+            campaign.ask(Request::Connect).await?;
+        }
+        let rig = campaign.status().rig;
+        if rig.is_ready() || run.kind == RunKind::RealRandom && rig.state == RigState::Disarmed {
+            return Ok(());
+        }
+        if rig.state == RigState::Disarmed {
+            // Opening the wires may have taken a while.
+            self.require_unattended(run, before).await?;
+            // Read after it: the run may have been aborted or held meanwhile.
+            if self.is_brought_up(run.uid) {
+                campaign.ask(Request::Home).await?;
+            }
+        }
+        let mut locked = std::pin::pin!(self.locked_meanwhile(run, before));
+        let homed = async {
+            loop {
+                let rig = campaign.status().rig;
+                if !self.is_brought_up(run.uid) || self.is_operated_since_start(run.uid) {
+                    if rig.state == RigState::Disarmed {
+                        // Refused if nothing moves any more.
+                        let _ = campaign.ask(Request::Abort).await;
+                    }
+                    self.require_not_operated(run.uid)?;
+                    return Err(Refusal::State("the run was aborted or held".into()).into());
+                }
+                match rig.state {
+                    RigState::Homed => return Ok::<_, ConductorError>(()),
+                    RigState::Tripped => {
+                        let why = rig.trip.map_or_else(String::new, |t| t.detail);
+                        return Err(Refusal::State(format!("the rig tripped: {why}")).into());
+                    }
+                    RigState::Disconnected | RigState::Disarmed | RigState::Armed => {
+                        let taken = tokio::time::timeout(HOMING_POLL, &mut locked).await;
+                        if let Ok(refused) = taken {
+                            // Refused if nothing moves any more.
+                            let _ = campaign.ask(Request::Abort).await;
+                            return Err(refused);
+                        }
+                    }
+                }
+            }
+        };
+        tokio::time::timeout(HOMING_WAIT, homed).await.unwrap_or_else(|_| {
+            let limit_s = HOMING_WAIT.as_secs();
+            let words = format!("the rig was not homed within {limit_s} s: check its axes");
+            Err(Refusal::State(words).into())
+        })
+    }
+
+    /// Waits until a person has taken an operator lock that refuses this run, which then must be started again. A store
+    /// that does not answer ends no motion.
+    async fn locked_meanwhile(&self, run: &RunRow, before: Unattended) -> ConductorError {
+        loop {
+            let locked = self.require_no_lock(run, before.since).await;
+            if let Err(ConductorError::Refused(refusal)) = locked {
+                let words = format!("{refusal}; the homing for the run has ended: start it again");
+                return ConductorError::Forbidden(words);
+            }
+            tokio::time::sleep(HOMING_LOCK_POLL).await;
+        }
+    }
+
+    /// Ends the homing for a run that is not driven any more.
+    pub(super) fn end_bringing_up(&self, run: RunUid) {
+        self.inner.brought_up.lock().take_if(|uid| *uid == run);
+    }
+
+    fn is_brought_up(&self, run: RunUid) -> bool {
+        *self.inner.brought_up.lock() == Some(run)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::AutoResume;
+    use super::super::stand_in::{conductor, earlier, granted};
+    use super::*;
+    use crate::state::StoredState;
+
+    #[tokio::test]
+    async fn the_homing_for_a_run_ends_if_a_person_operates_the_rig() {
+        let (conductor, mut inbox, _folder) = conductor().await;
+        let [run, _next] = earlier(&conductor).await;
+        inbox.status.send_modify(|status| status.rig.state = RigState::Disarmed);
+        let operates = async {
+            granted(&mut inbox, |request| matches!(request, Request::Home)).await;
+            conductor.note_operation();
+            granted(&mut inbox, |request| matches!(request, Request::Abort)).await;
+        };
+        let resumes = conductor.resume_after_restart(AutoResume::Allowed);
+        let (taken, ()) = tokio::join!(resumes, operates);
+        assert!(matches!(taken, Err(ConductorError::Forbidden(_))), "{taken:?}");
+        let tries = conductor.inner.store.events_of_kinds(run.uid, &["not_resumed"], 9);
+        assert_eq!(tries.await.unwrap().len(), 1, "it is not tried again");
+    }
+
+    #[tokio::test]
+    async fn the_homing_for_a_run_ends_if_a_person_takes_the_lock() {
+        let (conductor, mut inbox, _folder) = conductor().await;
+        let [run, next] = earlier(&conductor).await;
+        inbox.status.send_modify(|status| status.rig.state = RigState::Disarmed);
+        let locks = async {
+            granted(&mut inbox, |request| matches!(request, Request::Home)).await;
+            tokio::time::sleep(Duration::from_millis(20)).await;
+            conductor.inner.store.set_lock("bob", "hands in the rig").await.unwrap();
+            granted(&mut inbox, |request| matches!(request, Request::Abort)).await;
+        };
+        let resumes = conductor.resume_after_restart(AutoResume::Allowed);
+        let both = async { tokio::join!(resumes, locks) };
+        let (taken, ()) = tokio::time::timeout(HOMING_WAIT / 2, both).await.expect("it ends");
+        let words = taken.unwrap_err().to_string();
+        assert!(words.starts_with("bob has taken the operator lock: hands in the rig"), "{words}");
+        assert_eq!(conductor.present(&run).await.unwrap().state, StoredState::Interrupted);
+        assert!(conductor.why_dropped(next.uid).is_some());
+    }
+}
