@@ -170,6 +170,7 @@ pub struct StatusArgs {
     /// Check that the service can store trials; if not, the exit code is 1.
     #[arg(long, conflicts_with_all = ["watch", "twins", "workers"])]
     pub ready: bool,
+    /// Service of the rig.
     #[command(flatten)]
     pub at: At,
 }

@@ -52,8 +52,8 @@ enum Recovery {
     Held(String),
     /// A drive has lost its power, or a person was there, as text.
     ForPerson(String),
-    /// The reset, the homing or the resume failed.
-    Failed,
+    /// The reset, the homing or the resume failed: why, as text, unless it tripped.
+    Failed(Option<String>),
     /// The run resumes.
     Done,
 }
@@ -130,7 +130,7 @@ impl Engine {
             Recovery::Silent => true,
             // Who holds the lock may have cut the power.
             Recovery::Held(_) => !self.devices_reply().await,
-            Recovery::ForPerson(_) | Recovery::Failed | Recovery::Done => false,
+            Recovery::ForPerson(_) | Recovery::Failed(_) | Recovery::Done => false,
         };
         resume.silent_since = resume.silent_since.or(Some(now)).filter(|_| is_silent);
         let words = match recovery {
@@ -139,14 +139,14 @@ impl Engine {
                 self.end_automatic(automatic, Some(words));
                 return None;
             }
-            Recovery::Failed => {
+            Recovery::Failed(why) => {
                 *resume.resumes += 1;
+                let words = why.or_else(|| resume.waits_for.clone());
                 if *resume.resumes > job.plan.policy.max_auto_resumes || !self.trip_may_pass() {
-                    let words = resume.waits_for.take();
                     self.end_automatic(automatic, words);
                     return None;
                 }
-                resume.waits_for.clone()
+                words
             }
             Recovery::Silent => resume.waits_for.clone(),
             Recovery::Held(words) => Some(words),
@@ -210,14 +210,14 @@ impl Engine {
         if connection.skin.take(Instant::now(), 1).await.is_err() {
             return Recovery::Silent;
         }
-        let is_reset =
-            self.control.rig() != RigState::Tripped || self.reset(presses, None).await.is_ok();
-        if !is_reset {
-            return Recovery::Failed;
+        if self.control.rig() == RigState::Tripped
+            && let Err(refused) = self.reset(presses, None).await
+        {
+            return Recovery::Failed(Some(refused.to_string()));
         }
         if job.plan.kind == Kind::RealRandom {
             let resumed = self.control.run_event(RunEvent::Resume).is_ok();
-            return if resumed { Recovery::Done } else { Recovery::Failed };
+            return if resumed { Recovery::Done } else { Recovery::Failed(None) };
         }
         // The devices and the reset took a while: nothing homes under a lock that was taken meanwhile.
         if let Some(lock) = self.control.taken_lock(self.halted_at).await {
@@ -243,18 +243,18 @@ impl Engine {
             return match self.control.taken_lock(self.halted_at).await {
                 // It has ended the homing.
                 Some(lock) if !is_tripped => Recovery::Held(lock),
-                Some(_) | None => Recovery::Failed,
+                Some(_) | None => Recovery::Failed(None),
             };
         }
         // A pause that was requested while it homed holds.
         let halted = RunState::Paused(PausedWhy::Trip);
         if self.control.run() != halted {
-            return Recovery::Failed;
+            return Recovery::Failed(None);
         }
         match self.arm_stage(job, None).await {
             Ok(()) => {}
             Err(Refusal::Busy(words)) => return Recovery::Held(words),
-            Err(Refusal::State(_) | Refusal::Value(_) | Refusal::Gone) => return Recovery::Failed,
+            Err(refused) => return Recovery::Failed(Some(refused.to_string())),
         }
         // Arming takes a while: a request since holds, too.
         if let Some(held) = self.heed().await {
@@ -266,14 +266,14 @@ impl Engine {
         }
         let resumed =
             self.control.run() == halted && self.control.run_event(RunEvent::Resume).is_ok();
-        if resumed { Recovery::Done } else { Recovery::Failed }
+        if resumed { Recovery::Done } else { Recovery::Failed(None) }
     }
 
     /// Accepts pending requests between two parts of an attempt. Returns its result if one of them ends it.
     async fn heed(&mut self) -> Option<Recovery> {
         if let Err(halt) = self.control.attend() {
             self.make_safe(halt.as_trip(), Height::Clear).await;
-            return Some(Recovery::Failed);
+            return Some(Recovery::Failed(None));
         }
         self.control.take_operated().then(|| Recovery::ForPerson(BY_HAND.into()))
     }

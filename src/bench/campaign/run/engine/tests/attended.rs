@@ -127,3 +127,27 @@ async fn no_waiting_run_begins_after_a_run_of_which_a_pause_was_requested_as_it_
         assert_eq!((engine.control.run(), signs(&engine)), (RunState::Stopping, 1));
     }
 }
+
+#[tokio::test]
+async fn a_run_states_why_the_rig_could_not_be_armed_for_its_automatic_resume() {
+    let (mut job, (_, mut engine, handle)) = (job(), with_handle());
+    job.plan.policy.auto_resume_after_s = 0.0;
+    trip(&mut engine, &job);
+    // The wires were so slow that no press keeps the margin.
+    engine.connection.as_mut().unwrap().stage.as_mut().unwrap().stopping.note_poll(1e6);
+    let mut status = handle.watch_status();
+    let states = async move {
+        // Without a handle there is no request to wait for.
+        let _handle = handle;
+        let is_stated = |now: &Status| {
+            let words = now.run.as_ref().and_then(|run| run.waiting_for.as_deref());
+            words.is_some_and(|words| words.starts_with("limits.force_margin_n = "))
+        };
+        status.wait_for(is_stated).await.is_ok()
+    };
+    let (mut attempts, mut resumes) = (Attempts::default(), 1);
+    let waits = engine.wait(&job, &mut attempts, Some(&mut resumes));
+    let (next, is_stated) = tokio::join!(waits, states);
+    assert!(matches!(next, Next::Leave) && is_stated);
+    assert_eq!(engine.control.rig(), RigState::Homed);
+}
