@@ -156,15 +156,6 @@ impl ReductionPlan {
     pub fn kept(&self) -> usize {
         self.kept
     }
-
-    /// Number of multiply-adds of one reduction, without padding.
-    pub fn multiply_adds(&self) -> usize {
-        let of = |f: &Front| -> usize {
-            let rows = f.pivots + f.boundary;
-            (0..f.pivots).map(|k| packed(rows - k)).sum()
-        };
-        self.fronts.iter().map(of).sum()
-    }
 }
 
 /// Per part, the later nodes that are its neighbours once its nodes are removed: positions in the
