@@ -7,7 +7,7 @@
 //! between boundary nodes are the front's remainder, which is added to its parent.
 
 use super::{SheetNetwork, TILE};
-use crate::order::{Part, dissect};
+use crate::order::Part;
 
 /// One dense front.
 ///
@@ -106,17 +106,9 @@ pub struct ReductionPlan {
 impl ReductionPlan {
     /// Plans the removal of all nodes of a network except its electrodes.
     pub fn new(network: &SheetNetwork) -> Self {
-        let nodes = network.places_mm.len();
-        let mut neighbours = vec![Vec::new(); nodes];
-        for r in &network.resistors {
-            neighbours[r.a as usize].push(r.b);
-            neighbours[r.b as usize].push(r.a);
-        }
-        let kept = &network.electrodes;
-        let mut parts = dissect(&network.places_mm, &neighbours, kept);
-        // The electrodes are the last front, in which nothing is removed.
-        let root = Part { nodes: Vec::new(), children: vec![parts.len() - 1] };
-        parts.push(root);
+        let (nodes, kept) = (network.places_mm.len(), &network.electrodes);
+        let neighbours = network.neighbours();
+        let parts = network.parts(&neighbours);
         let order: Vec<u32> = parts.iter().flat_map(|p| &p.nodes).chain(kept).copied().collect();
         let mut place = vec![0u32; nodes];
         for (at, &node) in order.iter().enumerate() {
