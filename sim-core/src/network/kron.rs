@@ -344,6 +344,7 @@ fn fronts(
     fronts
 }
 
-fn row_of(sorted: &[u32], at: u32) -> u32 {
+/// Index of a position among ascending ones.
+pub(super) fn row_of(sorted: &[u32], at: u32) -> u32 {
     sorted.binary_search(&at).expect("a front holds every node that its children left") as u32
 }

@@ -6,6 +6,7 @@
 //! `boundary`, the top layer always last). The conductances that the removal of the pivots adds
 //! between boundary nodes are the front's remainder, which is added to its parent.
 
+use super::kron::row_of;
 use super::{SheetNetwork, TILE};
 use crate::order::Part;
 
@@ -76,7 +77,7 @@ impl Front {
     fn row(&self, place: u32, boundary: &[u32]) -> usize {
         match (place as usize).checked_sub(self.first) {
             Some(pivot) if pivot < self.pivots => pivot,
-            _ => self.boundary_row() + index_of(boundary, place),
+            _ => self.boundary_row() + row_of(boundary, place) as usize,
         }
     }
 }
@@ -233,8 +234,4 @@ fn stack_sizes(fronts: &[Front]) -> [usize; 2] {
         heights[1 - front.parity] -= of_children;
     }
     greatest
-}
-
-fn index_of(sorted: &[u32], place: u32) -> usize {
-    sorted.binary_search(&place).expect("a front holds every node that its children left")
 }
