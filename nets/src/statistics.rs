@@ -223,9 +223,7 @@ impl Statistics {
         }
         Ok(statistics)
     }
-}
 
-impl Statistics {
     /// Number of channels that are constant in the training data, and therefore ignored.
     pub fn constant_channels(&self) -> usize {
         self.sd.iter().filter(|&&sd| sd == NEVER_V).count()

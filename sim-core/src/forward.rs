@@ -35,15 +35,6 @@ pub struct Contact {
     pub force_n: f64,
 }
 
-/// A force on one node.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct VertexForce {
-    /// The node, which is also the row of the unit responses.
-    pub row: usize,
-    /// Force, N, >= 0.
-    pub force_n: f64,
-}
-
 /// Why a forward model cannot be built.
 #[derive(Debug, thiserror::Error)]
 pub enum ModelError {
@@ -106,9 +97,6 @@ pub struct ForwardModel {
     fields: NodeFields,
     circuit: ReadoutCircuit,
     lattice: TipLattice,
-    spreading: Spreading,
-    /// Rows of the unit responses for each point's vertices.
-    point_rows: Vec<[usize; 6]>,
     pub(crate) laws: Vec<NodeLaw>,
     pub(crate) reduction: KronReduction,
     /// Nodes of the network: those of the mesh, and electrodes that are separate nodes.
@@ -121,8 +109,7 @@ pub struct ForwardModel {
 #[derive(Debug, Default)]
 pub struct Workspace {
     shares: Vec<Share>,
-    /// Loads of single nodes, N.
-    forces: Vec<(usize, f64)>,
+    forces: Vec<NodeForce>,
     pub(crate) compression_mm: Vec<f64>,
     pub(crate) to_top_s: Vec<f64>,
     pub(crate) kron: KronWork,
@@ -184,13 +171,11 @@ impl ForwardModel {
         let network = network(&sensor, &mesh, &fields, &circuit)?;
         Ok(Self {
             laws: node_laws(&sensor, &mesh, &fields),
-            hash: model_hash(&sensor, &responses, &fields, &circuit, Spreading::default()),
-            spreading: Spreading::default(),
+            hash: model_hash(&sensor, &responses, &fields, &circuit),
             reduction: KronReduction::new(&network),
             network_nodes: network.places_mm.len(),
             electrode_nodes: network.electrodes,
             lattice: TipLattice::new(&sensor, &mesh),
-            point_rows: mesh.points.iter().map(|p| p.vertices.map(|v| v as usize)).collect(),
             sensor,
             mesh,
             responses,
@@ -205,24 +190,14 @@ impl ForwardModel {
     /// `ModelError::Electrode` if an electrode is invalid.
     pub fn with_circuit(&self, circuit: ReadoutCircuit) -> Result<Self, ModelError> {
         let network = network(&self.sensor, &self.mesh, &self.fields, &circuit)?;
-        let hash =
-            model_hash(&self.sensor, &self.responses, &self.fields, &circuit, self.spreading);
         Ok(Self {
+            hash: model_hash(&self.sensor, &self.responses, &self.fields, &circuit),
             reduction: self.reduction.of_another(&network),
             network_nodes: network.places_mm.len(),
             electrode_nodes: network.electrodes,
             circuit,
-            hash,
             ..self.clone()
         })
-    }
-
-    /// Returns the same skin with another method of sharing a tip's force among the nodes.
-    pub fn with_spreading(mut self, spreading: Spreading) -> Self {
-        self.hash =
-            model_hash(&self.sensor, &self.responses, &self.fields, &self.circuit, spreading);
-        self.spreading = spreading;
-        self
     }
 
     /// The sensor of the model, with its calibration.
@@ -258,11 +233,6 @@ impl ForwardModel {
         network(&self.sensor, &self.mesh, &self.fields, &self.circuit)
     }
 
-    /// Rows of the unit responses for a point's six vertices.
-    pub fn point_rows(&self, point: usize) -> &[usize; 6] {
-        &self.point_rows[point]
-    }
-
     /// Multiply-adds per frame in the reduction of the network.
     pub fn multiply_adds(&self) -> usize {
         self.reduction.multiply_adds()
@@ -290,12 +260,12 @@ impl ForwardModel {
     }
 
     /// Computes the frame of arbitrary forces on nodes (tilted tips), V after gain.
-    pub fn voltages_of_vertex_forces<'w>(
+    pub fn voltages_of_node_forces<'w>(
         &self,
-        forces: &[VertexForce],
+        forces: &[NodeForce],
         work: &'w mut Workspace,
     ) -> &'w [f64] {
-        self.superpose(forces.iter().map(|f| (f.row, f.force_n)), &mut work.compression_mm);
+        self.superpose(forces, &mut work.compression_mm);
         self.solve(work)
     }
 
@@ -326,31 +296,34 @@ impl ForwardModel {
     /// # Errors
     /// `ContactError` with the first contact that [`Self::check`] rejects.
     pub fn node_forces(&self, contacts: &[Contact]) -> ContactResult<Vec<NodeForce>> {
-        let mut shares = Vec::new();
-        let mut forces = Vec::new();
-        for (index, contact) in contacts.iter().enumerate() {
-            self.check(index, contact)?;
-            shares.clear();
-            self.spread(contact, &mut shares);
-            let loaded = shares.iter().filter(|share| share.sixths != 0.0);
-            let force_n = |share: &Share| contact.force_n / 6.0 * share.sixths;
-            forces.extend(loaded.map(|s| NodeForce { node: s.node, force_n: force_n(s) }));
-        }
+        let (mut shares, mut forces) = (Vec::new(), Vec::new());
+        self.spread_all(contacts, &mut shares, &mut forces)?;
         Ok(forces)
     }
 
     /// Stores the compression of the nominal skin under contacts, before the clamp, in `work`.
     pub(crate) fn load(&self, contacts: &[Contact], work: &mut Workspace) -> ContactResult<()> {
-        work.forces.clear();
+        self.spread_all(contacts, &mut work.shares, &mut work.forces)?;
+        self.superpose(&work.forces, &mut work.compression_mm);
+        Ok(())
+    }
+
+    /// Writes the nodal forces of contacts; `shares` is memory.
+    fn spread_all(
+        &self,
+        contacts: &[Contact],
+        shares: &mut Vec<Share>,
+        forces: &mut Vec<NodeForce>,
+    ) -> ContactResult<()> {
+        forces.clear();
         for (index, contact) in contacts.iter().enumerate() {
             self.check(index, contact)?;
-            work.shares.clear();
-            self.spread(contact, &mut work.shares);
+            shares.clear();
+            self.spread(contact, shares);
             let sixth_n = contact.force_n / 6.0;
-            let loaded = work.shares.iter().filter(|share| share.sixths != 0.0);
-            work.forces.extend(loaded.map(|s| (s.node as usize, sixth_n * s.sixths)));
+            let loaded = shares.iter().filter(|share| share.sixths != 0.0);
+            forces.extend(loaded.map(|s| NodeForce { node: s.node, force_n: sixth_n * s.sixths }));
         }
-        self.superpose(work.forces.iter().copied(), &mut work.compression_mm);
         Ok(())
     }
 
@@ -361,16 +334,16 @@ impl ForwardModel {
 
     /// Appends the shares of a contact's force on the nodes to `shares`.
     pub(crate) fn spread(&self, contact: &Contact, shares: &mut Vec<Share>) {
-        self.lattice.spread(self.spreading, [contact.x_mm, contact.y_mm], shares);
+        self.lattice.spread(Spreading::Sharp, [contact.x_mm, contact.y_mm], shares);
     }
 
-    /// Sums the unit responses, each times its node's load, at every node.
-    pub(crate) fn superpose(&self, loads: impl Iterator<Item = (usize, f64)>, sum: &mut Vec<f64>) {
+    /// Sums the unit responses, each times its node's force, at every node.
+    fn superpose(&self, forces: &[NodeForce], sum: &mut Vec<f64>) {
         sum.clear();
         sum.resize(self.mesh.plane_nodes(), 0.0);
-        for (node, load) in loads {
-            for (sum, &unit) in sum.iter_mut().zip(self.responses.row(node)) {
-                *sum += load * f64::from(unit);
+        for force in forces {
+            for (sum, &unit) in sum.iter_mut().zip(self.responses.row(force.node as usize)) {
+                *sum += force.force_n * f64::from(unit);
             }
         }
     }
@@ -434,7 +407,6 @@ fn model_hash(
     responses: &UnitResponses,
     fields: &NodeFields,
     circuit: &ReadoutCircuit,
-    spreading: Spreading,
 ) -> String {
     let mut digest = Digest::new("forward model 2; kron f64 1");
     digest.bytes(responses.own_key());
@@ -447,9 +419,7 @@ fn model_hash(
     digest.numbers([sensor.file.circuit.sheet_ohm_per_sq]);
     fields.digest(&mut digest);
     circuit.digest(&mut digest);
-    digest.word(match spreading {
-        Spreading::Linear => "linear",
-        Spreading::Sharp => "sharp",
-    });
+    // How a tip's force is shared among the nodes.
+    digest.word("sharp");
     format!("sim-{}", hex::encode(&digest.finish()[..8]))
 }

@@ -2,8 +2,7 @@
 //! Uses: `forward`, `tip`, `piezo`, `network::adjoint`. Never: differences of frames.
 //!
 //! One elimination and one back-substitution per load, whatever the number of parameters; then each
-//! parameter costs a sum over the nodes that it moves, and the gradient of a misfit over all
-//! parameters of all fields at once costs about as much as one frame.
+//! parameter costs a sum over the nodes that it moves.
 //!
 //! Where the model has a kink the derivative is one-sided: a node at or below the clamps (uplift;
 //! the smallest compression inside f) does not change with load or compliance; at a sample of a
@@ -13,7 +12,7 @@ use crate::circuit::ReadoutCircuit;
 use crate::fields::NodeFields;
 use crate::forward::{Contact, ContactResult, ForwardModel, Workspace};
 use crate::mesh::Mesh;
-use crate::network::adjoint::{Direction, Potentials, Pull};
+use crate::network::adjoint::{Direction, Potentials};
 use crate::network::kron::KronFactor;
 use crate::network::{Resistor, sheet};
 use crate::piezo::NodeLaw;
@@ -84,28 +83,6 @@ pub struct Mode {
     pub entries: Vec<(u32, f64)>,
 }
 
-/// A value for every parameter of every field.
-#[derive(Debug, Clone, PartialEq)]
-pub struct FieldGradient {
-    values: [Vec<f64>; Field::ALL.len()],
-}
-
-impl FieldGradient {
-    /// Returns zeros for a model.
-    pub fn zeros(model: &ForwardModel) -> Self {
-        Self { values: Field::ALL.map(|field| vec![0.0; field.len(model)]) }
-    }
-
-    /// The values of one field.
-    pub fn of(&self, field: Field) -> &[f64] {
-        &self.values[field as usize]
-    }
-
-    fn of_mut(&mut self, field: Field) -> &mut [f64] {
-        &mut self.values[field as usize]
-    }
-}
-
 /// Derivatives of one node's conductance to the top, S per unit.
 #[derive(Debug, Clone, Copy, Default)]
 struct NodeSlopes {
@@ -164,7 +141,6 @@ pub struct JacobianWork {
     /// Slopes of the compression before the clamp by a contact's parameters, at those nodes.
     load_slopes: Vec<[f64; CONTACT_PARAMETERS]>,
     direction: Direction,
-    pull: Pull,
     columns: Vec<f64>,
 }
 
@@ -177,20 +153,6 @@ pub struct Linearised<'a> {
 }
 
 impl ForwardModel {
-    /// Derivative of the frame with respect to every contact's x (V/mm), y (V/mm) and force (V/N):
-    /// `[channels * (3 * contact + parameter) + channel]`, channels as in [`Self::voltages`].
-    ///
-    /// # Errors
-    /// `ContactError` with the first contact that the model rejects.
-    pub fn jacobian<'w>(
-        &self,
-        contacts: &[Contact],
-        work: &'w mut JacobianWork,
-    ) -> ContactResult<&'w [f64]> {
-        self.linearise(contacts, work)?.contacts();
-        Ok(&work.columns)
-    }
-
     /// Factorises the model at a load. Its frame is bitwise equal to that of [`Self::voltages`].
     ///
     /// # Errors
@@ -235,7 +197,8 @@ impl Linearised<'_> {
         self.work.forward.to_top_s()
     }
 
-    /// Derivative by the contacts, as [`ForwardModel::jacobian`] returns it.
+    /// Derivative of the frame by every contact's x (V/mm), y (V/mm) and force (V/N):
+    /// `[channels * (3 * contact + parameter) + channel]`, channels as in [`ForwardModel::voltages`].
     pub fn contacts(&mut self) -> &[f64] {
         let JacobianWork {
             forward,
@@ -345,33 +308,6 @@ impl Linearised<'_> {
             direction.frame(potentials, &forward.readout, self.model.circuit(), column);
         }
         columns
-    }
-
-    /// Gradient of `sum(residual * frame)` by every parameter of every field (J' r).
-    ///
-    /// # Panics
-    /// If the length of the residual is not that of the frame, or the gradient is another model's.
-    pub fn pull(&mut self, residual: &[f64], gradient: &mut FieldGradient) {
-        let JacobianWork { forward, potentials, slopes, pull, .. } = &mut *self.work;
-        let model = self.model;
-        assert_eq!(residual.len(), forward.readout.frame_v().len(), "a residual per channel");
-        pull.prepare(residual, potentials, &forward.readout, model.circuit());
-        for (node, slopes) in slopes.iter().enumerate() {
-            let per_siemens = pull.to_top(potentials, node);
-            for field in [Field::LnA, Field::LnB, Field::LnC, Field::LnCompliance] {
-                gradient.of_mut(field)[node] = per_siemens * slopes.of(field);
-            }
-        }
-        for field in &Field::ALL[4..] {
-            for (index, value) in gradient.of_mut(*field).iter_mut().enumerate() {
-                let parts = circuit_parts(model, *field, index);
-                let of = |r: Resistor| {
-                    r.conductance_s * pull.between(potentials, r.a as usize, r.b as usize)
-                };
-                let sheet: f64 = parts.resistors.into_iter().map(of).sum();
-                *value = sheet + parts.lead.map_or(0.0, |electrode| pull.lead(electrode));
-            }
-        }
     }
 }
 

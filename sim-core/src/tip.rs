@@ -30,14 +30,13 @@ const HEXAGON: [[i32; 2]; 6] = [[0, 2], [-1, 1], [-1, -1], [0, -2], [1, -1], [1,
 const ON_NODE: f64 = 1e-7;
 
 /// Distribution of a force between nodes.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Spreading {
     /// By linear shape functions: up to twelve nodes carry a tip, no share is negative, the dent is
     /// blurred.
     Linear,
     /// By linear shape functions without their second moment: up to 27 nodes, some shares are
     /// slightly negative.
-    #[default]
     Sharp,
 }
 

@@ -20,10 +20,7 @@ pub fn answer(network: &Network, frames: &[f32], compute: Compute) -> Result<Vec
         let mut model = Model::new(network.clone(), network.layers.len(), &device);
         let batch = frames.len() / network.inputs;
         let data = TensorData::new(frames.to_vec(), [batch, network.inputs]);
-        Ok(numbers(model.answer(Tensor::from_data(data, &device))))
+        let answers = model.answer(Tensor::from_data(data, &device)).into_data();
+        Ok(answers.try_to_vec::<f32>().expect("answers are f32"))
     })?
-}
-
-fn numbers<const D: usize>(tensor: Tensor<D>) -> Vec<f32> {
-    tensor.into_data().try_to_vec().expect("answers are f32")
 }

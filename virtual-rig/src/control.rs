@@ -130,7 +130,7 @@ fn carry_out(lab: &Lab, line: &str) -> Result<Value, String> {
             let report = bench.report(lab.clock.process_s());
             drop(bench);
             let mut reply = serde_json::to_value(report).map_err(|e| e.to_string())?;
-            reply["stream"] = json!(lab.stream_report());
+            reply["stream"] = json!(lab.stream);
             reply["clock_rate"] = json!(lab.clock.rate());
             Ok(reply)
         }

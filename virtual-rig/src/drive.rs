@@ -52,6 +52,12 @@ impl Mechanism {
         2.0 * self.acceleration
     }
 
+    /// Pace of the rig file.
+    fn pace(&self) -> Pace {
+        let a = self.acceleration;
+        Pace { speed: self.speed, acceleration: a, deceleration: a }
+    }
+
     /// Positions of the mechanical end stops, units.
     fn iron(&self) -> [f64; 2] {
         [self.travel[0] - HARD_STOP_MARGIN, self.travel[1] + HARD_STOP_MARGIN]
@@ -104,15 +110,10 @@ impl Drive {
     /// Creates a drive at power-up: at `position`, not homed, the counter at zero, the motor in the
     /// state `servo_at_power_up`.
     pub fn power_up(mechanism: Mechanism, position: f64, servo_at_power_up: Servo) -> Self {
-        let pace = Pace {
-            speed: mechanism.speed,
-            acceleration: mechanism.acceleration,
-            deceleration: mechanism.acceleration,
-        };
         Self {
             mechanism,
             motion: Trajectory::at_rest(position),
-            pace,
+            pace: mechanism.pace(),
             counter_zero: position,
             servo: servo_at_power_up,
             servo_at_power_up,
@@ -251,7 +252,8 @@ impl Drive {
 
     /// Starts homing: to the sensor at 0, then the index search.
     pub fn start_home(&mut self, t_s: f64) {
-        let pace = Pace { speed: HOMING_SPEED_PART * self.mechanism.speed, ..self.default_pace() };
+        let pace =
+            Pace { speed: HOMING_SPEED_PART * self.mechanism.speed, ..self.mechanism.pace() };
         self.homed = false;
         self.begin(t_s, 0.0, pace);
         self.homing_until_s = Some(self.motion.end_s() + INDEX_SEARCH_S);
@@ -309,11 +311,6 @@ impl Drive {
         let kept = (self.motions + 1, self.stops);
         *self = Self::power_up(self.mechanism, position, self.servo_at_power_up);
         (self.motions, self.stops) = kept;
-    }
-
-    fn default_pace(&self) -> Pace {
-        let a = self.mechanism.acceleration;
-        Pace { speed: self.mechanism.speed, acceleration: a, deceleration: a }
     }
 
     /// True position and velocity at a time.

@@ -1,7 +1,7 @@
 //! The bench with its clock and solver, as shared by all wires.
 //! Uses: `bench`, `clock`, `solver`. Never: sockets; the lock is held only for computation.
 
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::AtomicU64;
 
 use parking_lot::{Mutex, MutexGuard};
 use serde::Serialize;
@@ -12,7 +12,7 @@ use crate::config::RigFile;
 use crate::solver::Solver;
 
 /// Counters of the stream.
-#[derive(Debug, Default)]
+#[derive(Debug, Default, Serialize)]
 pub struct StreamCounters {
     /// Number of frames sent to at least one reader.
     pub sent: AtomicU64,
@@ -20,17 +20,6 @@ pub struct StreamCounters {
     pub unsolved: AtomicU64,
     /// Number of readers at present.
     pub readers: AtomicU64,
-}
-
-/// Values of the counters at one time.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
-pub struct StreamReport {
-    /// Number of frames sent to at least one reader.
-    pub sent: u64,
-    /// Number of frames not sent because their load was not solved yet.
-    pub unsolved: u64,
-    /// Number of readers at present.
-    pub readers: u64,
 }
 
 /// The bench with everything that its wires share.
@@ -71,15 +60,5 @@ impl Lab {
             self.solver.request(load);
         }
         served
-    }
-
-    /// Returns the values of the stream's counters.
-    pub fn stream_report(&self) -> StreamReport {
-        let read = |n: &AtomicU64| n.load(Ordering::Relaxed);
-        StreamReport {
-            sent: read(&self.stream.sent),
-            unsolved: read(&self.stream.unsolved),
-            readers: read(&self.stream.readers),
-        }
     }
 }

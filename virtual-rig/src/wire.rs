@@ -11,7 +11,6 @@ use tokio::sync::Semaphore;
 use tokio::time::timeout;
 use tokio_serial::SerialStream;
 
-use crate::bench::Served;
 use crate::fault::{Part, WireFault};
 use crate::lab::Lab;
 use crate::modbus::{Exception, rtu, tcp};
@@ -24,14 +23,6 @@ const SILENCE: Duration = Duration::from_millis(20);
 const NOBODY: Duration = Duration::from_millis(10);
 /// Time without progress after which a client is disconnected.
 const WRITE_PATIENCE: Duration = Duration::from_secs(5);
-
-/// What happens to the bytes of a reply.
-enum Delivery {
-    Send(Vec<u8>),
-    SendLate(Vec<u8>, Duration),
-    Silence,
-    HangUp,
-}
 
 /// Serves one TCP line until the task is aborted.
 pub async fn serve_tcp(lab: Arc<Lab>, line: String, listener: TcpListener) {
@@ -64,14 +55,12 @@ async fn serve_connection(lab: &Lab, line: &str, mut stream: TcpStream) -> io::R
     loop {
         while let Some(adu) = tcp::take(&mut buffer).map_err(io::Error::other)? {
             let served = lab.serve(line, adu.unit, &adu.pdu);
-            match deliver_tcp(&adu, served) {
-                Delivery::Send(bytes) => send(&mut stream, &bytes).await?,
-                Delivery::SendLate(bytes, delay) => {
-                    tokio::time::sleep(delay).await;
-                    send(&mut stream, &bytes).await?;
-                }
-                Delivery::Silence => {}
-                Delivery::HangUp => return Ok(()),
+            // An address without a device is reported by the gateway.
+            let function = adu.pdu.first().copied().unwrap_or(0);
+            let nobody = || vec![function | 0x80, Exception::NoTarget.code()];
+            let reply = tcp::frame(&adu, &served.answer.unwrap_or_else(nobody));
+            if !deliver(&mut stream, reply, served.fault, garble_tcp).await? {
+                return Ok(());
             }
         }
         if stream.read_buf(&mut buffer).await? == 0 {
@@ -80,51 +69,39 @@ async fn serve_connection(lab: &Lab, line: &str, mut stream: TcpStream) -> io::R
     }
 }
 
-async fn send(wire: &mut (impl AsyncWriteExt + Unpin), bytes: &[u8]) -> io::Result<()> {
-    timeout(WRITE_PATIENCE, wire.write_all(bytes)).await.map_err(io::Error::other)?
+/// Sends a reply as a fault of the wire leaves it; returns whether the connection continues.
+async fn deliver(
+    wire: &mut (impl AsyncWriteExt + Unpin),
+    mut reply: Vec<u8>,
+    fault: Option<WireFault>,
+    garble: fn(&mut Vec<u8>, Part),
+) -> io::Result<bool> {
+    match fault {
+        None | Some(WireFault::Exception(_)) => {}
+        Some(WireFault::Late { delay_ms }) => {
+            tokio::time::sleep(Duration::from_millis(delay_ms)).await;
+        }
+        Some(WireFault::NoReply { .. }) => return Ok(true),
+        Some(WireFault::Disconnect { .. }) => return Ok(false),
+        Some(WireFault::Garbled(part)) => garble(&mut reply, part),
+    }
+    timeout(WRITE_PATIENCE, wire.write_all(&reply)).await.map_err(io::Error::other)??;
+    Ok(true)
 }
 
-fn deliver_tcp(adu: &tcp::Adu, served: Served) -> Delivery {
-    // An address without a device is reported by the gateway.
-    let function = adu.pdu.first().copied().unwrap_or(0);
-    let nobody = || vec![function | 0x80, Exception::NoTarget.code()];
-    let pdu = served.answer.unwrap_or_else(nobody);
-    let mut bytes = tcp::frame(adu, &pdu);
-    match served.fault {
-        None | Some(WireFault::Exception(_)) => Delivery::Send(bytes),
-        Some(WireFault::Late { delay_ms }) => {
-            Delivery::SendLate(bytes, Duration::from_millis(delay_ms))
-        }
-        Some(WireFault::NoReply { .. }) => Delivery::Silence,
-        Some(WireFault::Disconnect { .. }) => Delivery::HangUp,
-        Some(WireFault::Garbled(part)) => {
-            match part {
-                Part::Header => bytes[1] ^= 0x55,
-                Part::Payload => flip_last(&mut bytes, 0),
-                Part::Cut => bytes.truncate(bytes.len() - 1),
-            }
-            Delivery::Send(bytes)
-        }
+fn garble_tcp(frame: &mut Vec<u8>, part: Part) {
+    match part {
+        Part::Header => frame[1] ^= 0x55,
+        Part::Payload => flip_last(frame, 0),
+        Part::Cut => frame.truncate(frame.len() - 1),
     }
 }
 
-fn deliver_rtu(adu: &rtu::Adu, served: Served) -> Delivery {
-    let Some(pdu) = served.answer else { return Delivery::Silence };
-    let mut bytes = rtu::frame(adu.unit, &pdu);
-    match served.fault {
-        None | Some(WireFault::Exception(_)) => Delivery::Send(bytes),
-        Some(WireFault::Late { delay_ms }) => {
-            Delivery::SendLate(bytes, Duration::from_millis(delay_ms))
-        }
-        Some(WireFault::NoReply { .. } | WireFault::Disconnect { .. }) => Delivery::Silence,
-        Some(WireFault::Garbled(part)) => {
-            match part {
-                Part::Header => flip_last(&mut bytes, 0),
-                Part::Payload => flip_last(&mut bytes, 2),
-                Part::Cut => bytes.truncate(bytes.len() - 1),
-            }
-            Delivery::Send(bytes)
-        }
+fn garble_rtu(frame: &mut Vec<u8>, part: Part) {
+    match part {
+        Part::Header => flip_last(frame, 0),
+        Part::Payload => flip_last(frame, 2),
+        Part::Cut => frame.truncate(frame.len() - 1),
     }
 }
 
@@ -172,15 +149,10 @@ pub async fn serve_rtu(lab: Arc<Lab>, line: String, mut master: SerialStream) {
                 }
                 rtu::Taken::Request(adu) => {
                     let served = lab.serve(&line, adu.unit, &adu.pdu);
-                    let outcome = match deliver_rtu(&adu, served) {
-                        Delivery::Send(bytes) => send(&mut master, &bytes).await,
-                        Delivery::SendLate(bytes, delay) => {
-                            tokio::time::sleep(delay).await;
-                            send(&mut master, &bytes).await
-                        }
-                        Delivery::Silence | Delivery::HangUp => Ok(()),
-                    };
-                    if let Err(error) = outcome {
+                    let Some(pdu) = served.answer else { continue };
+                    let reply = rtu::frame(adu.unit, &pdu);
+                    let sent = deliver(&mut master, reply, served.fault, garble_rtu).await;
+                    if let Err(error) = sent {
                         tracing::debug!(line, %error, "answer not delivered");
                     }
                 }

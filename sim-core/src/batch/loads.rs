@@ -71,8 +71,8 @@ fn compare(a: &[f64; 2], b: &[f64; 2]) -> std::cmp::Ordering {
 fn row(model: &ForwardModel, order: &[u32], point: usize, place_mm: [f64; 2]) -> PointRow {
     let responses = model.responses();
     let mut sum = vec![0.0; responses.nodes()];
-    for &row in model.point_rows(point) {
-        for (sum, &unit) in sum.iter_mut().zip(responses.row(row)) {
+    for node in model.mesh().points[point].vertices {
+        for (sum, &unit) in sum.iter_mut().zip(responses.row(node as usize)) {
             *sum += f64::from(unit) / 6.0;
         }
     }

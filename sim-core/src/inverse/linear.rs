@@ -6,12 +6,11 @@
 //! `f = argmin |J f - v|^2 + lambda |R f|^2` with R the identity (Tikhonov) or `R'R = diag(J'J)`
 //! (NOSER, Cheney et al. 1990). Columns of J are frames per newton on each of the sensor's points.
 //! The foam does not conduct until it is pressed, so the untouched skin has no slope: J is a secant
-//! from the untouched skin to a stated force, or the tangent at a stated load.
+//! from the untouched skin to a stated force.
 
 use faer::Mat;
 
 use crate::forward::{Contact, ContactError, ForwardModel, Workspace};
-use crate::jacobian::{CONTACT_PARAMETERS, JacobianWork};
 
 /// Number of penalties that are compared, from the largest squared singular value down.
 const PENALTIES: usize = 121;
@@ -28,10 +27,8 @@ pub enum LinearError {
     /// The singular values did not converge.
     #[error("linear model: singular values did not converge")]
     SingularValues,
-    /// No point changes the frame at this load.
-    #[error(
-        "linear model: no point moves the frame at this load; press the points, or take a secant"
-    )]
+    /// No point changes the frame by this force.
+    #[error("linear model: no point moves the frame by this force")]
     Flat,
     /// The frame has the wrong length.
     #[error("linear reconstruction: a frame of {found} voltages, {needed} needed")]
@@ -58,8 +55,6 @@ pub enum Regularisation {
 pub enum Penalty {
     /// Least generalised cross-validation score (Golub, Heath, Wahba 1979).
     Gcv,
-    /// Sharpest corner of ln |f| over ln |J f - v| (Hansen 1992).
-    LCurve,
     /// A share of the largest squared singular value.
     Share(f64),
 }
@@ -68,9 +63,8 @@ pub enum Penalty {
 #[derive(Debug, Clone, PartialEq)]
 pub struct PointSlopes {
     columns: Vec<f64>,
-    /// Frame about which the slopes are taken, V.
+    /// Frame of the untouched skin, V.
     about_v: Vec<f64>,
-    about_n: Vec<f64>,
 }
 
 impl PointSlopes {
@@ -88,22 +82,7 @@ impl PointSlopes {
             let frame = model.voltages(&[contact], &mut work)?;
             columns.extend(frame.iter().zip(&about_v).map(|(v, rest)| (v - rest) / force_n));
         }
-        Ok(Self { columns, about_n: vec![0.0; points.len()], about_v })
-    }
-
-    /// Slopes at a load with the same force on every point, N.
-    ///
-    /// # Errors
-    /// `LinearError::Load` if the model rejects the force.
-    pub fn tangent(model: &ForwardModel, force_n: f64) -> Result<Self, LinearError> {
-        let of = |p: &crate::sensor::Point| Contact { x_mm: p.x_mm, y_mm: p.y_mm, force_n };
-        let load: Vec<Contact> = model.sensor().points().iter().map(of).collect();
-        let mut work = JacobianWork::default();
-        let mut at = model.linearise(&load, &mut work)?;
-        let about_v = at.frame_v().to_vec();
-        let all = at.contacts().chunks_exact(about_v.len());
-        let columns = all.skip(2).step_by(CONTACT_PARAMETERS).flatten().copied().collect();
-        Ok(Self { columns, about_n: vec![force_n; load.len()], about_v })
+        Ok(Self { columns, about_v })
     }
 
     /// The column of a point, V/N.
@@ -116,7 +95,6 @@ impl PointSlopes {
 #[derive(Debug, Clone)]
 pub struct OneStep {
     about_v: Vec<f64>,
-    about_n: Vec<f64>,
     /// Singular values, largest first.
     values: Vec<f64>,
     /// Left vectors, one after the other.
@@ -151,7 +129,8 @@ impl OneStep {
     /// `LinearError::Flat` if no point changes the frame; `LinearError::SingularValues` without
     /// convergence.
     pub fn new(slopes: &PointSlopes, regularisation: Regularisation) -> Result<Self, LinearError> {
-        let (channels, points) = (slopes.about_v.len(), slopes.about_n.len());
+        let channels = slopes.about_v.len();
+        let points = slopes.columns.len() / channels;
         let length = |point: usize| slopes.of(point).iter().map(|v| v * v).sum::<f64>().sqrt();
         let lengths: Vec<f64> = (0..points).map(length).collect();
         let longest = lengths.iter().copied().fold(0.0, f64::max);
@@ -172,7 +151,6 @@ impl OneStep {
         let right = (0..rank).flat_map(|k| (0..points).map(move |j| (j, k)));
         Ok(Self {
             about_v: slopes.about_v.clone(),
-            about_n: slopes.about_n.clone(),
             left: left.collect(),
             right: right.map(|(j, k)| v[(j, k)] / roots[j]).collect(),
             values,
@@ -190,12 +168,12 @@ impl OneStep {
             Penalty::Share(share) if share > 0.0 && share.is_finite() => share,
             Penalty::Share(penalty) => return Err(LinearError::Penalty { penalty }),
             Penalty::Gcv => self.least_gcv(&along),
-            Penalty::LCurve => self.corner(&along),
         };
         let penalty_v2 = share * largest;
-        let mut forces_n = self.about_n.clone();
+        let points = self.right.len() / self.values.len();
+        let mut forces_n = vec![0.0; points];
         for ((part, value), right) in
-            along.parts.iter().zip(&self.values).zip(self.right.chunks_exact(forces_n.len()))
+            along.parts.iter().zip(&self.values).zip(self.right.chunks_exact(points))
         {
             let weight = part * value / (value * value + penalty_v2);
             forces_n.iter_mut().zip(right).for_each(|(f, r)| *f += weight * r);
@@ -250,26 +228,4 @@ impl OneStep {
         let scored = Self::shares().map(|share| (share, self.gcv(along, share * largest)));
         scored.min_by(|a, b| a.1.total_cmp(&b.1)).map_or(1.0, |best| best.0)
     }
-
-    /// Penalty at the sharpest corner of the L-curve, by the circle through three neighbours.
-    fn corner(&self, along: &Along) -> f64 {
-        let largest = self.values[0].powi(2);
-        let curve: Vec<(f64, [f64; 2])> = Self::shares()
-            .map(|share| {
-                let (residual, force) = self.lengths(along, share * largest);
-                (share, [residual.max(1e-300).ln() / 2.0, force.max(1e-300).ln() / 2.0])
-            })
-            .collect();
-        let turns = curve.windows(3).map(|w| (w[1].0, curvature([w[0].1, w[1].1, w[2].1])));
-        turns.max_by(|a, b| a.1.total_cmp(&b.1)).map_or(1.0, |best| best.0)
-    }
-}
-
-/// Signed curvature of three consecutive points; > 0 turns right (from a falling residual to a
-/// growing force).
-fn curvature([a, b, c]: [[f64; 2]; 3]) -> f64 {
-    let side = |p: [f64; 2], q: [f64; 2]| (p[0] - q[0]).hypot(p[1] - q[1]);
-    let twice_area = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]);
-    let sides = side(a, b) * side(b, c) * side(a, c);
-    if sides > 1e-12 { -2.0 * twice_area / sides } else { 0.0 }
 }

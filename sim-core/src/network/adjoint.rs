@@ -55,11 +55,6 @@ impl Potentials {
         reduction.solve_columns(factor, &self.kept, top, self.width, &mut self.relative_ohm);
     }
 
-    /// Number of values in a row: the electrodes, and unused padding.
-    pub fn width(&self) -> usize {
-        self.width
-    }
-
     /// A node's potentials minus the common one, ohm.
     pub fn row(&self, node: usize) -> &[f64] {
         &self.relative_ohm[node * self.width..][..self.width]
@@ -213,84 +208,5 @@ impl LaneJob for Products<'_> {
                 }
             }
         }
-    }
-}
-
-/// The adjoint of [`Direction`]: how the inner product of a frame with a residual changes with each
-/// conductance and lead.
-#[derive(Debug, Default)]
-pub struct Pull {
-    width: usize,
-    /// Per node: the factors of its row of potentials.
-    partners: Vec<f64>,
-    /// The factors of the common potential.
-    common: Vec<f64>,
-    per_lead: Vec<f64>,
-    coefficients: Vec<f64>,
-    common_ohm: f64,
-}
-
-impl Pull {
-    /// Prepares for a residual (electrodes squared, per volt after gain).
-    pub fn prepare(
-        &mut self,
-        residual: &[f64],
-        potentials: &Potentials,
-        readout: &ReadoutWork,
-        circuit: &ReadoutCircuit,
-    ) {
-        let (n, width) = (potentials.electrodes, potentials.width);
-        (self.width, self.common_ohm) = (width, potentials.common_ohm);
-        let z = readout.impedance_ohm();
-        // Row k: coefficients of -u_k u_j in the change.
-        self.coefficients.clear();
-        self.coefficients.resize(n * width, 0.0);
-        self.common.clear();
-        self.common.resize(width, 0.0);
-        self.per_lead.clear();
-        self.per_lead.resize(n, 0.0);
-        for k in 0..n {
-            let own = z[n * k + k] + circuit.electrodes[k].lead_ohm;
-            let volts = circuit.gain * circuit.source_v / own;
-            for j in (0..n).filter(|&j| j != k) {
-                let weight = volts * (residual[n * k + j] - residual[n * k + (j + n - 1) % n]);
-                let share = z[n * j + k] / own;
-                self.coefficients[width * k + j] = -weight;
-                self.coefficients[width * k + k] += weight * share;
-                self.common[k] -= weight * ((own - z[n * j + k]) / own);
-                self.per_lead[k] += weight * share;
-            }
-        }
-        self.partners.clear();
-        for row in potentials.relative_ohm.chunks_exact(width) {
-            let start = self.partners.len();
-            self.partners.resize(start + width, 0.0);
-            let own = &mut self.partners[start..][..n];
-            for (partner, c) in own.iter_mut().zip(self.coefficients.chunks_exact(width)) {
-                *partner = c.iter().zip(row).map(|(c, d)| c * d).sum();
-            }
-        }
-    }
-
-    /// Derivative by a conductance from a node to the top, per siemens.
-    pub fn to_top(&self, potentials: &Potentials, node: usize) -> f64 {
-        let partners = &self.partners[node * self.width..][..self.width];
-        let terms = potentials.row(node).iter().zip(partners).zip(&self.common);
-        -terms
-            .map(|((d, partner), c)| (self.common_ohm + d) * (partner + self.common_ohm * c))
-            .sum::<f64>()
-    }
-
-    /// Derivative by a conductance between two nodes, per siemens.
-    pub fn between(&self, potentials: &Potentials, a: usize, b: usize) -> f64 {
-        let partners = |node: usize| &self.partners[node * self.width..][..self.width];
-        let potential = potentials.row(a).iter().zip(potentials.row(b)).map(|(a, b)| a - b);
-        let partner = partners(a).iter().zip(partners(b)).map(|(a, b)| a - b);
-        -potential.zip(partner).map(|(d, p)| d * p).sum::<f64>()
-    }
-
-    /// Derivative by an electrode's lead, per ohm.
-    pub fn lead(&self, electrode: usize) -> f64 {
-        self.per_lead[electrode]
     }
 }

@@ -13,7 +13,7 @@
 use std::sync::Arc;
 
 use super::{Resistor, SheetNetwork, TILE};
-use crate::order::{Part, dissect};
+use crate::order::Part;
 
 /// Number of pivots that update the rest of a front together.
 const PANEL: usize = 8;
@@ -75,12 +75,8 @@ pub struct KronWork {
 impl KronReduction {
     /// Plans the removal of all nodes of a network except its electrodes.
     pub fn new(network: &SheetNetwork) -> Self {
-        let neighbours = neighbours(network);
-        let mut parts = dissect(&network.places_mm, &neighbours, &network.electrodes);
-        // The electrodes are the last front, in which nothing is removed.
-        let root = Part { nodes: Vec::new(), children: vec![parts.len() - 1] };
-        parts.push(root);
-        Self::in_order(parts.into(), network, &neighbours)
+        let neighbours = network.neighbours();
+        Self::in_order(network.parts(&neighbours).into(), network, &neighbours)
     }
 
     /// Returns the plan of a network with other values, or other nodes at which the electrodes
@@ -92,7 +88,7 @@ impl KronReduction {
         if !same {
             return Self::new(network);
         }
-        Self::in_order(Arc::clone(&self.parts), network, &neighbours(network))
+        Self::in_order(Arc::clone(&self.parts), network, &network.neighbours())
     }
 
     fn in_order(parts: Arc<[Part]>, network: &SheetNetwork, neighbours: &[Vec<u32>]) -> Self {
@@ -184,16 +180,6 @@ impl KronReduction {
         }
         reduced
     }
-}
-
-/// For each node, the nodes that share a resistor with it.
-fn neighbours(network: &SheetNetwork) -> Vec<Vec<u32>> {
-    let mut neighbours = vec![Vec::new(); network.places_mm.len()];
-    for r in &network.resistors {
-        neighbours[r.a as usize].push(r.b);
-        neighbours[r.b as usize].push(r.a);
-    }
-    neighbours
 }
 
 /// Adds a child's remainder (columns packed below the diagonal, top last) to a front.
@@ -358,6 +344,7 @@ fn fronts(
     fronts
 }
 
-fn row_of(sorted: &[u32], at: u32) -> u32 {
+/// Index of a position among ascending ones.
+pub(super) fn row_of(sorted: &[u32], at: u32) -> u32 {
     sorted.binary_search(&at).expect("a front holds every node that its children left") as u32
 }

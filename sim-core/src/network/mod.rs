@@ -1,5 +1,5 @@
 //! The resistor network: sheet, foam resistors to the top layer, electrodes; solved exactly.
-//! Uses: `mesh`, `circuit`. Never: the origin of the foam's conductances.
+//! Uses: `mesh`, `circuit`, `order`. Never: the origin of the foam's conductances.
 //!
 //! Unknowns are the sheet's nodes (and electrodes that are separate nodes), and one further: the
 //! top layer. `order` and `kron` remove all nodes except the electrodes and the top without a
@@ -20,6 +20,7 @@ pub mod sheet;
 
 use crate::circuit::ReadoutCircuit;
 use crate::mesh::Mesh;
+use crate::order::{Part, dissect};
 
 /// Rows, columns and products are processed in squares of this side length.
 const TILE: usize = 4;
@@ -115,5 +116,22 @@ impl SheetNetwork {
             network.electrodes.push(node);
         }
         Ok(network)
+    }
+
+    /// For each node, the nodes that share a resistor with it.
+    fn neighbours(&self) -> Vec<Vec<u32>> {
+        let mut neighbours = vec![Vec::new(); self.places_mm.len()];
+        for r in &self.resistors {
+            neighbours[r.a as usize].push(r.b);
+            neighbours[r.b as usize].push(r.a);
+        }
+        neighbours
+    }
+
+    /// Parts of the removal of all nodes except the electrodes, which are the last part: nothing is removed there.
+    fn parts(&self, neighbours: &[Vec<u32>]) -> Vec<Part> {
+        let mut parts = dissect(&self.places_mm, neighbours, &self.electrodes);
+        parts.push(Part { nodes: Vec::new(), children: vec![parts.len() - 1] });
+        parts
     }
 }

@@ -6,8 +6,9 @@
 //! `boundary`, the top layer always last). The conductances that the removal of the pivots adds
 //! between boundary nodes are the front's remainder, which is added to its parent.
 
+use super::kron::row_of;
 use super::{SheetNetwork, TILE};
-use crate::order::{Part, dissect};
+use crate::order::Part;
 
 /// One dense front.
 ///
@@ -76,7 +77,7 @@ impl Front {
     fn row(&self, place: u32, boundary: &[u32]) -> usize {
         match (place as usize).checked_sub(self.first) {
             Some(pivot) if pivot < self.pivots => pivot,
-            _ => self.boundary_row() + index_of(boundary, place),
+            _ => self.boundary_row() + row_of(boundary, place) as usize,
         }
     }
 }
@@ -106,17 +107,9 @@ pub struct ReductionPlan {
 impl ReductionPlan {
     /// Plans the removal of all nodes of a network except its electrodes.
     pub fn new(network: &SheetNetwork) -> Self {
-        let nodes = network.places_mm.len();
-        let mut neighbours = vec![Vec::new(); nodes];
-        for r in &network.resistors {
-            neighbours[r.a as usize].push(r.b);
-            neighbours[r.b as usize].push(r.a);
-        }
-        let kept = &network.electrodes;
-        let mut parts = dissect(&network.places_mm, &neighbours, kept);
-        // The electrodes are the last front, in which nothing is removed.
-        let root = Part { nodes: Vec::new(), children: vec![parts.len() - 1] };
-        parts.push(root);
+        let (nodes, kept) = (network.places_mm.len(), &network.electrodes);
+        let neighbours = network.neighbours();
+        let parts = network.parts(&neighbours);
         let order: Vec<u32> = parts.iter().flat_map(|p| &p.nodes).chain(kept).copied().collect();
         let mut place = vec![0u32; nodes];
         for (at, &node) in order.iter().enumerate() {
@@ -155,15 +148,6 @@ impl ReductionPlan {
     /// Number of electrodes.
     pub fn kept(&self) -> usize {
         self.kept
-    }
-
-    /// Number of multiply-adds of one reduction, without padding.
-    pub fn multiply_adds(&self) -> usize {
-        let of = |f: &Front| -> usize {
-            let rows = f.pivots + f.boundary;
-            (0..f.pivots).map(|k| packed(rows - k)).sum()
-        };
-        self.fronts.iter().map(of).sum()
     }
 }
 
@@ -250,8 +234,4 @@ fn stack_sizes(fronts: &[Front]) -> [usize; 2] {
         heights[1 - front.parity] -= of_children;
     }
     greatest
-}
-
-fn index_of(sorted: &[u32], place: u32) -> usize {
-    sorted.binary_search(&place).expect("a front holds every node that its children left")
 }

@@ -3,8 +3,9 @@
 use std::time::Instant;
 
 use sim_core::circuit::ReadoutCircuit;
+use sim_core::deformation::NodeForce;
 use sim_core::fields::{DisplacementLut, LutError, LutGrid, NodeFields};
-use sim_core::forward::{ForwardModel, VertexForce, Workspace};
+use sim_core::forward::{ForwardModel, Workspace};
 use sim_core::piezo::resistance_ohm;
 use sim_core::sensor::{ResistancePer, Sensor};
 
@@ -138,15 +139,16 @@ fn vertex_forces_and_neutral_fields_give_the_same_frame() {
     let circuit = ReadoutCircuit::nominal(sensor());
     let same = ForwardModel::with(sensor(), responses(), fields.clone(), circuit.clone()).unwrap();
     assert_eq!(same.model_hash(), model().model_hash());
-    let forces: Vec<_> = same.point_rows(222).map(|row| VertexForce { row, force_n: 3.0 }).to_vec();
+    let vertices = same.mesh().points[222].vertices;
+    let forces = vertices.map(|node| NodeForce { node, force_n: 3.0 });
     let mut work = Workspace::default();
-    assert_eq!(same.voltages_of_vertex_forces(&forces, &mut work), nominal);
+    assert_eq!(same.voltages_of_node_forces(&forces, &mut work), nominal);
 
     // Each field changes the frame, and the hash; a wrong length is rejected.
     let mut other = fields.clone();
     other.ln_a.iter_mut().for_each(|v| *v = 0.1);
     let moved = ForwardModel::with(sensor(), responses(), other, circuit.clone()).unwrap();
-    assert_ne!(moved.voltages_of_vertex_forces(&forces, &mut work), nominal);
+    assert_ne!(moved.voltages_of_node_forces(&forces, &mut work), nominal);
     assert_ne!(moved.model_hash(), model().model_hash());
     let mut short = fields;
     short.ln_c.pop();

@@ -19,9 +19,9 @@ fn scaled(foam: f64, fabric: f64) -> Sensor {
 fn the_tip_sinks_by_the_foams_compression_and_a_little_more() {
     let point = point_at(270.0, 280.0);
     let nodes = model().mesh().points[point];
-    let rows = model().point_rows(point);
     let compression = |node: u32| -> f64 {
-        rows.iter().map(|&r| f64::from(responses().row(r)[node as usize])).sum::<f64>() / 6.0
+        let of = |loaded: &u32| f64::from(responses().row(*loaded as usize)[node as usize]);
+        nodes.vertices.iter().map(of).sum::<f64>() / 6.0
     };
     let mean = nodes.vertices.iter().map(|&v| compression(v)).sum::<f64>() / 6.0;
     let tip = SurfaceSinking::solve(sensor(), &[point]).unwrap().of_tip(0).mm_per_n;

@@ -2,10 +2,11 @@
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use sim_core::forward::{Contact, ContactError, ForwardModel, VertexForce, Workspace};
+use sim_core::deformation::NodeForce;
+use sim_core::forward::{Contact, ContactError, Workspace};
 use sim_core::tip::{Share, Spreading, TipLattice};
 
-use super::{model, point_at, press, responses, sensor};
+use super::{model, point_at, press, sensor};
 
 fn shares(spreading: Spreading, x_mm: f64, y_mm: f64) -> Vec<Share> {
     let mut shares = Vec::new();
@@ -29,12 +30,13 @@ fn on_a_point_the_six_vertices_carry_a_sixth_each_to_the_last_bit() {
             .into_iter()
             .filter(|s| s.sixths != 0.0)
             .collect();
-        let nodes: Vec<_> = loaded.iter().map(|s| s.node as usize).collect();
-        assert_eq!(nodes, model().point_rows(point));
+        let nodes: Vec<_> = loaded.iter().map(|s| s.node).collect();
+        assert_eq!(nodes, model().mesh().points[point].vertices);
         assert!(loaded.iter().all(|s| s.sixths == 1.0));
     }
-    let forces = model().point_rows(300).map(|row| VertexForce { row, force_n: 17.3 / 6.0 });
-    let by_nodes = model().voltages_of_vertex_forces(&forces, &mut work).to_vec();
+    let vertices = model().mesh().points[300].vertices;
+    let forces = vertices.map(|node| NodeForce { node, force_n: 17.3 / 6.0 });
+    let by_nodes = model().voltages_of_node_forces(&forces, &mut work).to_vec();
     assert_eq!(model().voltages(&[press(300, 17.3)], &mut work).unwrap(), by_nodes);
 }
 
@@ -81,19 +83,21 @@ fn sharp_shares_have_no_second_moment_and_linear_ones_do() {
 
 #[test]
 fn between_nodes_a_sharp_tip_draws_its_current_and_a_linear_one_does_not() {
-    let linear =
-        ForwardModel::new(sensor(), responses()).unwrap().with_spreading(Spreading::Linear);
-    assert_ne!(linear.model_hash(), model().model_hash());
     let [a, b, c] =
         model().mesh().triangles[3400].map(|node| model().mesh().nodes_mm[node as usize]);
-    let conductance = |model: &ForwardModel, [x_mm, y_mm]: [f64; 2]| -> f64 {
-        let mut work = Workspace::default();
-        model.voltages(&[Contact { x_mm, y_mm, force_n: 20.0 }], &mut work).unwrap();
+    let mut work = Workspace::default();
+    let mut conductance = |[x_mm, y_mm]: [f64; 2]| -> f64 {
+        model().voltages(&[Contact { x_mm, y_mm, force_n: 20.0 }], &mut work).unwrap();
         work.to_top_s().iter().sum()
     };
-    let on_nodes = [a, b, c].map(|node| conductance(model(), node)).iter().sum::<f64>() / 3.0;
+    let on_nodes = [a, b, c].map(&mut conductance).iter().sum::<f64>() / 3.0;
     let middle = [0, 1].map(|i| (a[i] + b[i] + c[i]) / 3.0);
-    let [sharp, blurred] = [model(), &linear].map(|m| conductance(m, middle) / on_nodes);
+    let sharp = conductance(middle) / on_nodes;
+    let linear = shares(Spreading::Linear, middle[0], middle[1]);
+    let force = |s: &Share| NodeForce { node: s.node, force_n: 20.0 / 6.0 * s.sixths };
+    let linear: Vec<NodeForce> = linear.iter().map(force).collect();
+    model().voltages_of_node_forces(&linear, &mut work);
+    let blurred = work.to_top_s().iter().sum::<f64>() / on_nodes;
     assert!((sharp - 1.0).abs() < 0.06 && blurred < 0.9, "{sharp} {blurred}");
 }
 

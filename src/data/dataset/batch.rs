@@ -3,10 +3,7 @@
 
 use std::sync::Arc;
 
-use arrow_array::builder::{
-    FixedSizeListBuilder, Float32Builder, ListBuilder, PrimitiveBuilder, StringBuilder,
-};
-use arrow_array::types::{ArrowPrimitiveType, Float32Type};
+use arrow_array::builder::{FixedSizeListBuilder, Float32Builder, ListBuilder, StringBuilder};
 use arrow_array::{
     ArrayRef, Float32Array, Float64Array, Int64Array, ListArray, RecordBatch, StringArray,
     StructArray, TimestampMillisecondArray, UInt8Array, UInt32Array, new_null_array,
@@ -144,8 +141,7 @@ fn frames<'a>(
     let DataType::FixedSizeList(element, channels) = field.data_type() else {
         return Err(ArrowError::SchemaError(format!("column {} holds no frames", field.name())));
     };
-    let values: PrimitiveBuilder<Float32Type> =
-        PrimitiveBuilder::with_capacity(frames.len() * *channels as usize);
+    let values = Float32Builder::with_capacity(frames.len() * *channels as usize);
     let mut column = FixedSizeListBuilder::with_capacity(values, *channels, frames.len())
         .with_field(element.clone());
     for frame in frames {
@@ -162,10 +158,7 @@ fn frames<'a>(
                 )));
             }
             None => {
-                column.values().append_value_n(
-                    <Float32Type as ArrowPrimitiveType>::Native::NAN,
-                    *channels as usize,
-                );
+                column.values().append_value_n(f32::NAN, *channels as usize);
                 column.append(false);
             }
         }

@@ -7,6 +7,7 @@
 use std::error::Error;
 
 use plotters::coord::Shift;
+use plotters::coord::types::RangedCoordf64;
 use plotters::prelude::*;
 
 pub mod style;
@@ -20,6 +21,10 @@ use crate::plain::{counted, grouped};
 
 /// The part of a page below its heading, or a part of it.
 pub type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
+
+/// A chart whose axes are numbers.
+pub type NumberChart<'a, 'b> =
+    ChartContext<'a, SVGBackend<'b>, Cartesian2d<RangedCoordf64, RangedCoordf64>>;
 
 /// Result of drawing: what was drawn, or the error of the plotting backend.
 pub type Drawn<T = ()> = Result<T, Box<dyn Error>>;

@@ -1,16 +1,11 @@
 //! The outline of a skin with its electrodes, at the same scale along x and y, and colour bars.
 //! PURE. Uses: plotters, sim-core's sensor. Never: what is drawn on the skin.
 
-use plotters::coord::types::RangedCoordf64;
 use plotters::prelude::*;
 use sim_core::sensor::Sensor;
 
 use super::style::{INK, SMALL, plain, whole};
-use super::{Area, Drawn, PageSize};
-
-/// A chart whose axes are those of the skin, mm.
-pub type SkinChart<'a, 'b> =
-    ChartContext<'a, SVGBackend<'b>, Cartesian2d<RangedCoordf64, RangedCoordf64>>;
+use super::{Area, Drawn, NumberChart, PageSize};
 
 /// The outline of a skin.
 #[derive(Debug, Clone, PartialEq)]
@@ -60,7 +55,7 @@ impl Outline {
     ///
     /// # Errors
     /// Error of the plotting backend.
-    pub fn chart<'a, 'b>(&self, area: &'a Area<'b>, caption: &str) -> Drawn<SkinChart<'a, 'b>> {
+    pub fn chart<'a, 'b>(&self, area: &'a Area<'b>, caption: &str) -> Drawn<NumberChart<'a, 'b>> {
         let [width, height] = self.size_mm;
         let around = AROUND * width;
         let mut builder = ChartBuilder::on(area);
@@ -93,7 +88,7 @@ impl Outline {
     ///
     /// # Errors
     /// Error of the plotting backend.
-    pub fn edge(&self, chart: &mut SkinChart<'_, '_>, radius_px: i32) -> Drawn {
+    pub fn edge(&self, chart: &mut NumberChart<'_, '_>, radius_px: i32) -> Drawn {
         let [width, height] = self.size_mm;
         let corners = [(0.0, 0.0), (width, height)];
         chart.draw_series([Rectangle::new(corners, INK.stroke_width(2))])?;

@@ -7,9 +7,9 @@ use std::collections::BTreeSet;
 use plotters::prelude::*;
 use plotters::style::colors::colormaps::ViridisRGB;
 
-use super::skin::{BAR_PX, Outline, SkinChart, colour_bar};
+use super::skin::{BAR_PX, Outline, colour_bar};
 use super::style::{COLOURS, INK};
-use super::{Area, Drawn, Heading, PageSize, figure};
+use super::{Area, Drawn, Heading, NumberChart, PageSize, figure};
 
 /// Most panels next to each other.
 const PANELS_ACROSS: usize = 3;
@@ -117,7 +117,7 @@ fn draw(
 }
 
 /// The way of the indenter's centre.
-fn way(chart: &mut SkinChart<'_, '_>, leg: &Leg) -> Drawn {
+fn way(chart: &mut NumberChart<'_, '_>, leg: &Leg) -> Drawn {
     let centres = leg.stops.iter().filter_map(|stop| stop.centre_mm).map(|[x, y]| (x, y));
     chart.draw_series(LineSeries::new(centres, INK.mix(0.35).stroke_width(1)))?;
     Ok(())

@@ -10,7 +10,7 @@ use sim_core::forward::{Contact, ContactError, ForwardModel, Workspace};
 use sim_core::tip::Spreading;
 
 use super::contacts::{FORCE_MAX_N, Load, RequestedContact};
-use super::dent::{Dent, dent};
+use super::dent::{DentMap, dent};
 
 /// Largest number of rounds over the contacts: two tips that almost coincide need the most.
 const PRESS_ROUNDS: usize = 400;
@@ -31,7 +31,7 @@ pub struct Pressed {
     /// Frame, V, injection-major.
     pub voltages_v: Vec<f64>,
     /// Compression of the foam over the skin.
-    pub dent: Dent,
+    pub dent: DentMap,
 }
 
 /// Why contacts cannot be simulated.
@@ -218,7 +218,7 @@ mod tests {
         assert_eq!(found.voltages_v, SKIN.voltages(&[contact], &mut work).unwrap());
         let untouched = simulated(&[]).unwrap();
         assert_eq!(untouched.voltages_v, SKIN.voltages(&[], &mut work).unwrap());
-        assert!(untouched.dent.values_mm.iter().all(|mm| *mm == 0.0));
+        assert!(untouched.dent.values.iter().all(|mm| *mm == 0.0));
     }
 
     #[test]

@@ -20,7 +20,7 @@ use crate::dataset::background::background;
 use crate::ids::TrialId;
 use crate::problem::Problem;
 use crate::simulate::contacts::{Limits, Load, RequestedContact};
-use crate::simulate::dent::Dent;
+use crate::simulate::dent::DentMap;
 use crate::simulate::pressed::{Pressed, PressedError, pressed};
 use crate::twins::skins::{SkinCalibration, SkinError, Source};
 
@@ -67,23 +67,6 @@ pub struct PressedContact {
     pub depth_mm: f64,
     /// Normal force of the contact, N.
     pub force_n: f64,
-}
-
-/// Compression of the foam on a grid over the skin.
-#[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
-pub struct DentMap {
-    /// Number of places along x.
-    pub columns: usize,
-    /// Number of places along y.
-    pub rows: usize,
-    /// Distance of neighbouring places, mm.
-    pub pitch_mm: f64,
-    /// Position of the first place along x, mm.
-    pub x0_mm: f64,
-    /// Position of the first place along y, mm.
-    pub y0_mm: f64,
-    /// Compression, mm, rounded to 0.001: `rows` times `columns` values, row by row from `y0_mm` on.
-    pub values: Vec<f64>,
 }
 
 /// The skin under contacts, as the model computes it.
@@ -240,7 +223,6 @@ fn requested(contacts: &[GivenContact]) -> Result<Vec<RequestedContact>, Vec<Pro
 }
 
 fn answer(found: Pressed, untouched_v: Vec<f64>, model: String, took_ms: f64) -> Simulation {
-    let Dent { columns, rows, pitch_mm, x0_mm, y0_mm, values_mm } = found.dent;
     let contacts = found.contacts.iter().zip(&found.depths_mm).map(|(c, &depth_mm)| {
         PressedContact { x_mm: c.x_mm, y_mm: c.y_mm, depth_mm, force_n: c.force_n }
     });
@@ -248,7 +230,7 @@ fn answer(found: Pressed, untouched_v: Vec<f64>, model: String, took_ms: f64) ->
         voltages_v: found.voltages_v,
         untouched_v,
         contacts: contacts.collect(),
-        dent_mm: DentMap { columns, rows, pitch_mm, x0_mm, y0_mm, values: values_mm },
+        dent_mm: found.dent,
         model,
         took_ms,
         fvu: None,

@@ -5,7 +5,7 @@
 use plotters::prelude::*;
 use plotters::style::colors::colormaps::ViridisRGB;
 
-use crate::figure::skin::{Outline, colour_bar};
+use crate::figure::skin::{BAR_PX, Outline, colour_bar};
 use crate::figure::style::{AxesStyle, COLOURS, INK, TINY, framed, legend, plain, whole};
 use crate::figure::{Area, Drawn, Heading, PageSize, with_n};
 use crate::plain::{counted, grouped};
@@ -267,7 +267,7 @@ pub fn boxes(
 /// `FigureError` if the plotting backend fails.
 pub fn map(heading: &Heading, points: &[PointFit], skin: &Outline) -> FigureResult<String> {
     let panel = skin.panel(MAP_PX);
-    let size = PageSize { width_px: panel.width_px + 112, ..panel };
+    let size = PageSize { width_px: panel.width_px + BAR_PX, ..panel };
     let heading = heading.clone().with_note(
         "Hexagons: positions that a single tip has pressed; circles: electrodes; frame: edge of the skin",
     );

@@ -11,7 +11,7 @@ use super::figures::{FigureResult, page};
 use super::force_maps::Picture;
 use crate::dataset::read::PAPER_SKIN;
 use crate::figure::style::{AxesStyle, COLOURS, INK, SMALL, TEXT, TINY, framed, plain};
-use crate::figure::{Area, Drawn, Heading, PageSize, with_n};
+use crate::figure::{Area, Drawn, Heading, NumberChart, PageSize, with_n};
 use crate::store::Contact;
 
 /// A method's answer to a trial.
@@ -181,7 +181,7 @@ fn cell(area: &Area<'_>, truth: &[Contact], answer: Option<&Answer>) -> Drawn {
 
 /// Writes a force next to a contact: on its right if wanted, unless an edge is near.
 fn force(
-    chart: &mut crate::figure::skin::SkinChart<'_, '_>,
+    chart: &mut NumberChart<'_, '_>,
     [x, y]: [f64; 2],
     newtons: f64,
     (radius_px, on_right): (i32, bool),

@@ -4,22 +4,17 @@
 
 use std::ops::Range;
 
-use plotters::coord::types::RangedCoordf64;
 use plotters::prelude::*;
 
 use super::charts::Line;
 use super::figures::{FigureResult, page};
 use crate::figure::style::{AxesStyle, COLOURS, TINY, dash, framed, legend, plain, whole};
-use crate::figure::{Area, Drawn, Heading, PageSize};
+use crate::figure::{Area, Drawn, Heading, NumberChart, PageSize};
 
 const RUN_SIZE: PageSize = PageSize { width_px: 900, height_px: 500 };
 const HISTOGRAM_BINS: usize = 40;
 /// Largest number of contacts of a trial.
 const CONTACTS_SHOWN: usize = 7;
-
-/// A chart whose axes are numbers.
-type NumberChart<'a, 'b> =
-    ChartContext<'a, SVGBackend<'b>, Cartesian2d<RangedCoordf64, RangedCoordf64>>;
 
 /// A named curve with a band.
 #[derive(Debug, Clone, PartialEq)]

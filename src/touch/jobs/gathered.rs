@@ -53,13 +53,10 @@ impl Gathered {
         }
         Ok(Self { examples, rows, skin })
     }
-}
 
-impl Gathered {
     /// Ids of the trials of the rows; a row that is no trial has none.
     pub fn trials(&self) -> Vec<TrialId> {
-        let id = |&row: &u32| self.examples.trial_id(row).map(TrialId);
-        self.rows.iter().filter_map(id).collect()
+        self.rows.iter().filter_map(|&row| self.examples.trial_id(row)).collect()
     }
 }
 
@@ -71,12 +68,11 @@ impl Gathered {
 pub async fn first_frames(store: &Store, gathered: &Gathered) -> JobResult<Vec<Vec<f32>>> {
     let mut firsts = Vec::with_capacity(gathered.rows.len());
     for &row in &gathered.rows {
-        let id = gathered.examples.trial_id(row);
-        let frames = match id {
-            Some(id) => store.frames(TrialId(id)).await?,
+        let examples = &gathered.examples;
+        let frames = match examples.trial_id(row) {
+            Some(id) => store.frames(id).await?,
             None => Vec::new(),
         };
-        let examples = &gathered.examples;
         firsts.push(match frames.first() {
             Some(first) => {
                 let volts = first.volts_per_count;

@@ -26,7 +26,7 @@ use crate::evaluate::request::{EvaluationReport, EvaluationRequest, Example};
 use crate::evaluate::score::Scores;
 use crate::evaluate::touch::{Metric, Touch, TouchError};
 use crate::evaluate::voltages::VoltageScores;
-use crate::ids::{DatasetId, TrialId};
+use crate::ids::DatasetId;
 use crate::infer::answer::{FoundContact, Reading};
 use crate::infer::error::{InferError, InferResult};
 use crate::infer::maps::ForceMaps;
@@ -356,7 +356,7 @@ impl Scoring {
         Ok(FrameInput {
             voltages_v: self.frames(at, &[row])?,
             averaged: self.averaged(row),
-            untouched: trial.and_then(|trial| self.untouched.of(TrialId(trial))),
+            untouched: trial.and_then(|trial| self.untouched.of(trial)),
         })
     }
 

@@ -28,7 +28,7 @@ use crate::learn::order::{
 use crate::learn::recipe::Recipe;
 use crate::learn::task::MEASURED;
 use crate::new_file;
-use crate::store::{DatasetRow, Label, TaskRow};
+use crate::store::{Label, TaskRow};
 
 /// Name of the file with the id of the calibration whose simulations the training uses; empty for
 /// the nominal skin.
@@ -112,7 +112,17 @@ async fn prepare(
             let file = jobs.inner.datasets.used(&dataset.id);
             let of = file.clone();
             let sensor = background(move || crate::dataset::read::sensor_text(&of)).await??;
-            (sensor, of_dataset(dataset, &recipe, file, cache))
+            let Inherited { label, calibration, simulation } = inherited(&dataset.lineage, &recipe);
+            let source = Source::Dataset {
+                label,
+                calibration,
+                simulation,
+                id: dataset.id,
+                file: absolute(&file),
+                rows: dataset.rows,
+                scratch: absolute(&cache),
+            };
+            (sensor, source)
         }
         None => {
             let serving = &jobs.inner.serving;
@@ -171,20 +181,6 @@ pub(super) fn inherited(lineage: &Value, recipe: &Recipe) -> Inherited {
         label: label.unwrap_or(Label::Simulated),
         calibration: text(&model["calibration"]).map(CalibrationId::unchecked),
         simulation: text(&model["model"]),
-    }
-}
-
-/// Lineage that the model inherits from its dataset, and where the rows are.
-fn of_dataset(dataset: DatasetRow, recipe: &Recipe, file: PathBuf, scratch: PathBuf) -> Source {
-    let Inherited { label, calibration, simulation } = inherited(&dataset.lineage, recipe);
-    Source::Dataset {
-        label,
-        calibration,
-        simulation,
-        id: dataset.id,
-        file: absolute(&file),
-        rows: dataset.rows,
-        scratch: absolute(&scratch),
     }
 }
 

@@ -37,6 +37,11 @@ pub enum LearnError {
 }
 
 impl LearnError {
+    /// Error for a value of `of` (a recipe, a dataset, an evaluation) that cannot be used.
+    pub fn value(of: &str, key: &str, value: impl std::fmt::Display, limit: &str) -> Self {
+        Self::Problems(vec![Problem::new(of, key, value, limit)])
+    }
+
     /// Returns a conversion from an I/O error of an operation on a file.
     pub fn file(operation: &'static str, path: &Path) -> impl Fn(io::Error) -> Self + use<> {
         let path = path.to_owned();

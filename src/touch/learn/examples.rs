@@ -24,8 +24,8 @@ use crate::dataset::read::DatasetRows;
 use crate::dataset::schema::{FRAME_COUNT, SPLIT};
 use crate::dataset::select::Wanted;
 use crate::dataset::split::Part;
+use crate::ids::TrialId;
 use crate::new_file;
-use crate::problem::Problem;
 use crate::simulate::schema::CONTACTS;
 use crate::store::Contact;
 
@@ -144,8 +144,8 @@ impl Examples {
     }
 
     /// The number of a row's trial in the store; `None` for free simulations.
-    pub fn trial_id(&self, row: u32) -> Option<i64> {
-        self.trial_ids[row as usize]
+    pub fn trial_id(&self, row: u32) -> Option<TrialId> {
+        self.trial_ids[row as usize].map(TrialId)
     }
 
     /// Number of raw frames in the mean of a row's measured frame; 0 if it is unknown.
@@ -265,11 +265,4 @@ fn unnamed_file(folder: &Path) -> std::io::Result<File> {
     let file = new_file::as_private_as(folder)?.read(true).create_new(true).open(&path)?;
     std::fs::remove_file(&path)?;
     Ok(file)
-}
-
-impl LearnError {
-    /// Error for a value of `of` (a recipe, a dataset, an evaluation) that cannot be used.
-    pub fn value(of: &str, key: &str, value: impl std::fmt::Display, limit: &str) -> Self {
-        Self::Problems(vec![Problem::new(of, key, value, limit)])
-    }
 }

@@ -41,9 +41,7 @@ impl Board {
     /// Creates a board with the faults of a script.
     pub fn new(faults: Vec<Fault>) -> Self {
         let mut board = Self::default();
-        for fault in faults {
-            board.entries.push(Entry { fault, began_s: None, struck: 0 });
-        }
+        faults.into_iter().for_each(|fault| board.add(fault));
         board
     }
 

@@ -22,6 +22,9 @@ pub enum FaultError {
 #[derive(Debug, Clone, Default, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct FaultEntry {
+    /// Number in the script, from 1.
+    #[serde(skip)]
+    index: usize,
     kind: String,
     device: String,
     at_s: Option<f64>,
@@ -53,7 +56,8 @@ struct Script {
 /// `FaultError` for the first invalid fault.
 pub fn script(text: &str, rig: &RigFile) -> Result<Vec<Fault>, FaultError> {
     let script: Script = toml::from_str(text).map_err(|e| FaultError::Syntax(e.to_string()))?;
-    script.fault.iter().enumerate().map(|(i, entry)| check(i + 1, entry, rig)).collect()
+    let entries = script.fault.into_iter().enumerate();
+    entries.map(|(i, entry)| FaultEntry { index: i + 1, ..entry }.check(rig)).collect()
 }
 
 /// Parses and checks one fault from the control socket; without a start it begins immediately.
@@ -63,22 +67,17 @@ pub fn script(text: &str, rig: &RigFile) -> Result<Vec<Fault>, FaultError> {
 pub fn from_json(value: serde_json::Value, rig: &RigFile) -> Result<Fault, FaultError> {
     let entry: FaultEntry =
         serde_json::from_value(value).map_err(|e| FaultError::Syntax(e.to_string()))?;
-    check(1, &entry, rig)
+    FaultEntry { index: 1, ..entry }.check(rig)
 }
 
-struct Entry<'a> {
-    index: usize,
-    entry: &'a FaultEntry,
-}
-
-impl Entry<'_> {
+impl FaultEntry {
     fn bad(&self, key: &'static str, value: impl ToString, limit: &str) -> FaultError {
         let (index, value) = (self.index, value.to_string());
         FaultError::Value { index, key, value, limit: limit.to_owned() }
     }
 
     fn arm(&self) -> Result<usize, FaultError> {
-        match self.entry.arm {
+        match self.arm {
             Some(arm) if (1..=ARMS as u8).contains(&arm) => Ok(usize::from(arm) - 1),
             Some(arm) => Err(self.bad("arm", arm, "must be 1 to 6")),
             None => Err(self.bad("arm", "", "is needed: 1 to 6")),
@@ -87,7 +86,7 @@ impl Entry<'_> {
 
     /// Load on a cell, N, positive: the kind determines whether it pushes or pulls.
     fn load_n(&self) -> Result<f64, FaultError> {
-        match self.entry.n {
+        match self.n {
             Some(n) if n > 0.0 && n <= 1000.0 => Ok(n),
             Some(n) => Err(self.bad("n", n, "must be above 0, at most 1000")),
             None => Err(self.bad("n", "", "is needed: newtons")),
@@ -95,7 +94,7 @@ impl Entry<'_> {
     }
 
     fn rate(&self) -> Result<f64, FaultError> {
-        let rate = self.entry.rate.unwrap_or(1.0);
+        let rate = self.rate.unwrap_or(1.0);
         let ok = rate > 0.0 && rate <= 1.0;
         if ok { Ok(rate) } else { Err(self.bad("rate", rate, "must be in (0, 1]")) }
     }
@@ -109,28 +108,27 @@ impl Entry<'_> {
     }
 
     fn kind(&self) -> Result<Kind, FaultError> {
-        let e = self.entry;
-        let executed = e.executed.unwrap_or(false);
-        Ok(match e.kind.as_str() {
+        let executed = self.executed.unwrap_or(false);
+        Ok(match self.kind.as_str() {
             "no_reply" => Kind::Wire(WireFault::NoReply { executed }),
             "disconnect" => Kind::Wire(WireFault::Disconnect { executed }),
-            "exception" => match e.code {
+            "exception" => match self.code {
                 Some(code @ 1..=255) => Kind::Wire(WireFault::Exception(code as u8)),
                 code => {
                     let shown = code.map_or(String::new(), |c| c.to_string());
                     return Err(self.bad("code", shown, "is needed: 1 to 255"));
                 }
             },
-            "late_reply" => match e.delay_ms {
+            "late_reply" => match self.delay_ms {
                 Some(delay_ms @ 1..=60_000) => Kind::Wire(WireFault::Late { delay_ms }),
                 delay => {
                     let shown = delay.map_or(String::new(), |d| d.to_string());
                     return Err(self.bad("delay_ms", shown, "is needed: 1 to 60000"));
                 }
             },
-            "garbled_reply" => Kind::Wire(WireFault::Garbled(e.part.unwrap_or(Part::Header))),
-            "stuck_axis" => Kind::StuckAxis { alarm_after_s: e.alarm_after_s },
-            "alarm" => Kind::Alarm { code: e.code.unwrap_or(0xFF) },
+            "garbled_reply" => Kind::Wire(WireFault::Garbled(self.part.unwrap_or(Part::Header))),
+            "stuck_axis" => Kind::StuckAxis { alarm_after_s: self.alarm_after_s },
+            "alarm" => Kind::Alarm { code: self.code.unwrap_or(0xFF) },
             "power_loss" => Kind::PowerLoss,
             // A hanging module repeats its last conversion.
             "stale_registers" | "hung_module" => Kind::StaleRegisters,
@@ -138,7 +136,7 @@ impl Entry<'_> {
             "saturated_cell" => self.cell(CellFault::Saturated)?,
             "frozen_cell" => self.cell(CellFault::Frozen)?,
             "drifting_cell" => {
-                let n_per_s = e.n_per_s.ok_or_else(|| self.bad("n_per_s", "", "is needed"))?;
+                let n_per_s = self.n_per_s.ok_or_else(|| self.bad("n_per_s", "", "is needed"))?;
                 self.cell(CellFault::Drifting { n_per_s })?
             }
             "foreign_load" => self.cell(CellFault::Loaded { n: self.load_n()? })?,
@@ -154,7 +152,7 @@ impl Entry<'_> {
     }
 
     fn target(&self, rig: &RigFile) -> Result<Target, FaultError> {
-        let device = self.entry.device.as_str();
+        let device = self.device.as_str();
         if let Some(&axis) = AxisName::ALL.iter().find(|a| a.as_str() == device) {
             return Ok(Target::Axis(axis));
         }
@@ -175,14 +173,13 @@ impl Entry<'_> {
 
     /// A line may be called `cells`: then only faults of a module refer to the module.
     fn affects_cells(&self) -> bool {
-        let kind = self.entry.kind.as_str();
+        let kind = self.kind.as_str();
         let of_module = ["stale_registers", "hung_module", "foreign_load", "missing_tip"];
         kind.ends_with("_cell") || of_module.contains(&kind)
     }
 
     fn start(&self) -> Result<Start, FaultError> {
-        let e = self.entry;
-        match (e.at_s, e.at_frame, e.at_press) {
+        match (self.at_s, self.at_frame, self.at_press) {
             (Some(t), None, None) if t.is_finite() && t >= 0.0 => Ok(Start::Time(t)),
             (Some(t), None, None) => Err(self.bad("at_s", t, "must be 0 or more")),
             (None, Some(frame), None) => Ok(Start::Frame(frame)),
@@ -192,41 +189,42 @@ impl Entry<'_> {
             _ => Err(self.bad("at_s", "", "give one of at_s, at_frame, at_press")),
         }
     }
+
+    fn check(&self, rig: &RigFile) -> Result<Fault, FaultError> {
+        let (kind, target) = (self.kind()?, self.target(rig)?);
+        let (fits, targets) = match kind {
+            Kind::Wire(WireFault::Disconnect { .. }) => (true, ""),
+            Kind::Wire(_) => (target != Target::Ert, "an axis, cells or a line"),
+            Kind::StaleRegisters if self.kind == "hung_module" => {
+                (target == Target::Cells, "cells")
+            }
+            Kind::StaleRegisters => {
+                (matches!(target, Target::Axis(_) | Target::Cells), "an axis or cells")
+            }
+            Kind::StuckAxis { .. } | Kind::Alarm { .. } | Kind::PowerLoss => {
+                (matches!(target, Target::Axis(_)), "an axis")
+            }
+            Kind::Cell { .. } => (target == Target::Cells, "cells"),
+            Kind::Bytes { .. } | Kind::StallStream => (target == Target::Ert, "ert"),
+        };
+        if !fits {
+            let limit = format!("{} affects only {targets}", self.kind);
+            return Err(self.bad("device", &self.device, &limit));
+        }
+        if let Some(for_s) = self.for_s.filter(|f| !(f.is_finite() && *f > 0.0)) {
+            return Err(self.bad("for_s", for_s, "must be a positive number"));
+        }
+        if self.count == Some(0) {
+            return Err(self.bad("count", 0, "must be at least 1"));
+        }
+        Ok(Fault { kind, target, start: self.start()?, for_s: self.for_s, count: self.count })
+    }
 }
 
 const KINDS: &str = "must be no_reply, exception, disconnect, late_reply, garbled_reply, \
     stuck_axis, alarm, power_loss, stale_registers, hung_module, dead_cell, saturated_cell, \
     frozen_cell, drifting_cell, pulling_cell, foreign_load, missing_tip, uncoupled_cell, \
     drop_bytes, flip_bytes, double_bytes or stall_stream";
-
-fn check(index: usize, entry: &FaultEntry, rig: &RigFile) -> Result<Fault, FaultError> {
-    let e = Entry { index, entry };
-    let (kind, target) = (e.kind()?, e.target(rig)?);
-    let (fits, targets) = match kind {
-        Kind::Wire(WireFault::Disconnect { .. }) => (true, ""),
-        Kind::Wire(_) => (target != Target::Ert, "an axis, cells or a line"),
-        Kind::StaleRegisters if entry.kind == "hung_module" => (target == Target::Cells, "cells"),
-        Kind::StaleRegisters => {
-            (matches!(target, Target::Axis(_) | Target::Cells), "an axis or cells")
-        }
-        Kind::StuckAxis { .. } | Kind::Alarm { .. } | Kind::PowerLoss => {
-            (matches!(target, Target::Axis(_)), "an axis")
-        }
-        Kind::Cell { .. } => (target == Target::Cells, "cells"),
-        Kind::Bytes { .. } | Kind::StallStream => (target == Target::Ert, "ert"),
-    };
-    if !fits {
-        let limit = format!("{} affects only {targets}", entry.kind);
-        return Err(e.bad("device", &entry.device, &limit));
-    }
-    if let Some(for_s) = entry.for_s.filter(|f| !(f.is_finite() && *f > 0.0)) {
-        return Err(e.bad("for_s", for_s, "must be a positive number"));
-    }
-    if entry.count == Some(0) {
-        return Err(e.bad("count", 0, "must be at least 1"));
-    }
-    Ok(Fault { kind, target, start: e.start()?, for_s: entry.for_s, count: entry.count })
-}
 
 #[cfg(test)]
 mod tests {

@@ -18,8 +18,9 @@ use std::path::Path;
 
 use rand_distr::{Distribution, StandardNormal};
 use sim_core::circuit::{ElectrodeSite, ReadoutCircuit};
+use sim_core::deformation::NodeForce;
 use sim_core::fields::{DisplacementLut, LutError, LutGrid, NodeFields};
-use sim_core::forward::{ForwardModel, ModelError, POINT_TOLERANCE_MM, VertexForce, Workspace};
+use sim_core::forward::{ForwardModel, ModelError, POINT_TOLERANCE_MM, Workspace};
 use sim_core::mesh::Mesh;
 use sim_core::responses::ResponsesError;
 use sim_core::sensor::Sensor;
@@ -111,13 +112,14 @@ impl Skin {
             let Some(&(nearest, _)) = points.first() else { continue };
             let shares = self.vertex_shares(tip.arm, nearest);
             for (point, weight) in points {
-                for (row, share) in self.model.point_rows(point).iter().zip(shares) {
-                    forces.push(VertexForce { row: *row, force_n: tip.force_n * weight * share });
+                let vertices = self.model.mesh().points[point].vertices;
+                for (node, share) in vertices.into_iter().zip(shares) {
+                    forces.push(NodeForce { node, force_n: tip.force_n * weight * share });
                 }
             }
         }
         let mut work = Workspace::default();
-        self.model.voltages_of_vertex_forces(&forces, &mut work).to_vec()
+        self.model.voltages_of_node_forces(&forces, &mut work).to_vec()
     }
 
     /// Shares of a tip's force on its six vertices (sum 1): a fixed tilt of the tip, and one that
@@ -211,11 +213,8 @@ fn fields(mesh: &Mesh, sensor: &Sensor, gap: &Gap, seed: u64) -> Result<NodeFiel
         out
     };
     let nodes = &mesh.nodes_mm;
-    let centres: Vec<[f64; 2]> = mesh
-        .triangles
-        .iter()
-        .map(|t| [0, 1].map(|axis| t.iter().map(|&n| nodes[n as usize][axis]).sum::<f64>() / 3.0))
-        .collect();
+    let centres: Vec<[f64; 2]> =
+        mesh.triangles.iter().map(|triangle| mesh.triangle_centre_mm(triangle)).collect();
     let mut ln_a = smooth("ln a", g.ln_a_sd, nodes);
     let mut rng = stream(seed, "ln a, white");
     for value in &mut ln_a {

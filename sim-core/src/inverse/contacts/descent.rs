@@ -39,8 +39,10 @@ pub(super) struct Prior {
 }
 
 impl Prior {
-    fn of_force(&self, ln_force: f64) -> f64 {
-        ((ln_force - self.ln_force_mean) / self.ln_force_sd).powi(2)
+    /// Contribution of the forces to -2 ln evidence.
+    fn of_forces(&self, places: &[Place]) -> f64 {
+        let of = |p: &Place| ((p[2] - self.ln_force_mean) / self.ln_force_sd).powi(2);
+        places.iter().map(of).sum()
     }
 
     /// Precision of x, y and ln F, for x and y that of a normal as wide as the uniform one.
@@ -184,7 +186,7 @@ pub(super) fn descend(
     places.iter_mut().for_each(|p| *p = prior.clamp(*p));
     model.predict(places, &mut work.z, &mut work.slopes)?;
     let mut misfit = work.take_residual(problem);
-    let mut cost = misfit + of_forces(prior, places);
+    let mut cost = misfit + prior.of_forces(places);
     let (mut damping, mut bad, mut predictions) = (DAMPING, 0, 1);
     let mut converged = places.is_empty();
     work.assemble(problem, places);
@@ -197,7 +199,7 @@ pub(super) fn descend(
         model.predict(trial, trial_z, trial_slopes)?;
         predictions += 1;
         let trial_misfit = misfit_of(problem, trial_z);
-        let trial_cost = trial_misfit + of_forces(prior, trial);
+        let trial_cost = trial_misfit + prior.of_forces(trial);
         if trial_cost < cost {
             converged = cost - trial_cost < effort.tolerance;
             (misfit, cost, bad) = (trial_misfit, trial_cost, 0);
@@ -214,10 +216,6 @@ pub(super) fn descend(
     }
     let score = cost + prior.of_count(places.len()) + work.ln_determinant(EACH * places.len());
     Ok(Optimum { misfit, score, predictions })
-}
-
-fn of_forces(prior: &Prior, places: &[Place]) -> f64 {
-    places.iter().map(|p| prior.of_force(p[2])).sum()
 }
 
 fn misfit_of(problem: &Problem<'_>, z: &[f64]) -> f64 {

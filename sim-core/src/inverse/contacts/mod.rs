@@ -215,11 +215,6 @@ impl ContactFitter {
         Effort { iterations: self.options.iterations, tolerance: self.options.tolerance }
     }
 
-    /// Number of directions in which this model's frames differ by more than a part of the noise.
-    pub fn directions(&self) -> usize {
-        self.basis.directions()
-    }
-
     fn measure(&self, observation: &Observation<'_>, work: &mut FitWork) -> Result<(), FitError> {
         let Observation { frame_v, frames, offset_sd_v, offset_spectrum } = *observation;
         let needed = self.model.sensor().channels();

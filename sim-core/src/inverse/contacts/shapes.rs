@@ -202,9 +202,7 @@ impl Runs<'_> {
         model: &ForwardModel,
         [x, y]: [f64; 2],
     ) -> Result<Vec<f64>, FitterError> {
-        let distance = |p: &&crate::sensor::Point| (p.x_mm - x).hypot(p.y_mm - y);
-        let nearest =
-            model.sensor().points().iter().min_by(|a, b| distance(a).total_cmp(&distance(b)));
+        let nearest = model.sensor().nearest_point([x, y]);
         let [x_mm, y_mm] = nearest.map_or([x, y], |p| [p.x_mm, p.y_mm]);
         let [low, high] = STRENGTH_N.map(f64::ln);
         let step = (high - low) / STRENGTH_STEPS as f64;

@@ -80,8 +80,8 @@ pub(super) struct FrameMisfit {
 pub(super) struct Pass<'a> {
     pub parameters: &'a Parameters,
     pub model: &'a ForwardModel,
-    pub circuit: &'a CircuitChanges,
-    pub law_slopes: &'a [f64; LAW_PIECES],
+    pub circuit: CircuitChanges,
+    pub law_slopes: [f64; LAW_PIECES],
     pub offsets_v: &'a [f64],
     pub errors: &'a TrialErrors,
 }
@@ -204,7 +204,7 @@ impl Pass<'_> {
             if to_top_s[node] < least_s {
                 continue;
             }
-            let shares = Parameters::law_shares(self.law_slopes, compression_mm);
+            let shares = Parameters::law_shares(&self.law_slopes, compression_mm);
             for (mode, share) in modes[first..].iter_mut().zip(shares) {
                 if share > 0.0 {
                     mode.entries.push((node as u32, share));

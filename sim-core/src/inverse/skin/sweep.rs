@@ -8,7 +8,7 @@ use std::thread;
 use faer::Mat;
 
 use super::frame::{FrameMisfit, FrameTerms, FrameWork, Pass, WhiteColumns};
-use super::parameters::{CircuitChanges, LAW_PIECES, LAW_STEP_MM, Parameters};
+use super::parameters::{LAW_PIECES, LAW_STEP_MM, Parameters};
 use super::{MeasuredTrial, SkinFitError, SkinFitOptions, SkinProgress};
 use crate::forward::ForwardModel;
 use crate::stats::{sorted, upper_quantile};
@@ -195,9 +195,7 @@ impl<'a> Sweep<'a> {
         trials: &[usize],
         factor: impl Fn(usize) -> f64 + Sync,
     ) -> Result<Vec<(FrameTerms, WhiteColumns)>, SkinFitError> {
-        let circuit = self.parameters.circuit_changes(model);
-        let law_slopes = law_slopes(model);
-        let pass = self.pass(model, &circuit, &law_slopes, offsets_v);
+        let pass = self.pass(model, offsets_v);
         in_order(0..trials.len(), &mut self.work, |i, work| {
             pass.terms_and_columns(&self.trials[trials[i]], factor(trials[i]), work)
         })
@@ -227,17 +225,12 @@ impl<'a> Sweep<'a> {
     }
 
     /// Data shared by all trials at a model.
-    fn pass<'p>(
-        &self,
-        model: &'p ForwardModel,
-        circuit: &'p CircuitChanges,
-        law_slopes: &'p [f64; LAW_PIECES],
-        offsets_v: &'p [f64],
-    ) -> Pass<'p>
+    fn pass<'p>(&self, model: &'p ForwardModel, offsets_v: &'p [f64]) -> Pass<'p>
     where
         'a: 'p,
     {
         let (parameters, errors) = (self.parameters, &self.options.errors);
+        let (circuit, law_slopes) = (parameters.circuit_changes(model), law_slopes(model));
         Pass { parameters, model, circuit, law_slopes, offsets_v, errors }
     }
 
@@ -249,9 +242,7 @@ impl<'a> Sweep<'a> {
         of_trial: impl Fn(&Pass<'_>, usize, &mut FrameWork) -> Result<T, SkinFitError> + Sync,
         mut take: impl FnMut(T),
     ) -> Result<(), SkinFitError> {
-        let circuit = self.parameters.circuit_changes(model);
-        let law_slopes = law_slopes(model);
-        let pass = self.pass(model, &circuit, &law_slopes, offsets_v);
+        let pass = self.pass(model, offsets_v);
         for start in (0..self.trials.len()).step_by(BLOCK_TRIALS) {
             let end = (start + BLOCK_TRIALS).min(self.trials.len());
             let of_block =

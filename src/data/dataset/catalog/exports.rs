@@ -13,7 +13,7 @@ use crate::dataset::build::{Progress, data_file};
 use crate::dataset::error::{DatasetError, DatasetResult, Product};
 use crate::dataset::export::{self, ExportFile, ExportRequest, ExportResult};
 use crate::dataset::format::{Format, Rows};
-use crate::dataset::read::PAPER_SKIN;
+use crate::dataset::read::{DatasetRows, PAPER_SKIN};
 use crate::dataset::schema;
 use crate::dataset::select::{Selection, Wanted};
 use crate::dataset::space::{self, Space};
@@ -63,7 +63,7 @@ impl Catalog {
         wanted: &Wanted,
         progress: Arc<Progress>,
     ) -> DatasetResult<ExportFile> {
-        let rows = self.rows(&row.id, wanted)?;
+        let rows = DatasetRows::open(&self.used(&row.id), wanted)?;
         if format == Format::Parquet && rows.is_whole() {
             let path = data_file(&self.datasets(), &row.id);
             return Ok(ExportFile { path, sha256: row.sha256.clone() });

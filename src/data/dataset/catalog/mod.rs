@@ -25,7 +25,7 @@ use crate::dataset::format::Format;
 use crate::dataset::inputs::Inputs;
 use crate::dataset::making::{AllMaking, MakingKind};
 use crate::dataset::prune::{self, Pruned};
-use crate::dataset::read::{DatasetPages, DatasetRows};
+use crate::dataset::read::DatasetPages;
 use crate::dataset::schema::{self, BATCH_ROWS};
 use crate::dataset::select::Wanted;
 use crate::dataset::space::{self, Space};
@@ -333,14 +333,6 @@ impl Catalog {
     /// the file cannot be read.
     pub fn pages(&self, id: &DatasetId, wanted: &Wanted) -> DatasetResult<DatasetPages> {
         DatasetPages::open(&self.used(id), wanted)
-    }
-
-    /// Opens and counts all selected rows of a dataset.
-    ///
-    /// # Errors
-    /// As [`Self::pages`].
-    fn rows(&self, id: &DatasetId, wanted: &Wanted) -> DatasetResult<DatasetRows> {
-        DatasetRows::open(&self.used(id), wanted)
     }
 
     /// Returns the file of a dataset, and notes that its rows are read now.

@@ -265,21 +265,11 @@ impl From<Peak> for Contact {
 mod tests {
     use proptest::prelude::*;
 
+    use super::super::tests::{drawn, map};
     use super::*;
     use crate::dataset::force_map::ForceMapSpec;
 
     const PIXELS: usize = 160;
-
-    fn map(spec: &str) -> ForceMap {
-        ForceMap::new(spec.parse().unwrap(), [540.0, 560.0]).unwrap()
-    }
-
-    fn drawn(map: &ForceMap, contacts: &[(f64, f64, f64)]) -> Vec<f32> {
-        let mut pixels = vec![0.0; map.pixels() * map.pixels()];
-        let contact = |&(x_mm, y_mm, force_n)| sim_core::forward::Contact { x_mm, y_mm, force_n };
-        map.render(&contacts.iter().map(contact).collect::<Vec<_>>(), &mut pixels).unwrap();
-        pixels
-    }
 
     /// A map of 4 mm pixels with these values at these (row, column).
     fn with(pixels: &[(usize, usize, f32)]) -> Vec<f32> {

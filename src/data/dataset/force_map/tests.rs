@@ -9,7 +9,7 @@ use super::{Contact, Disc, ForceMap, ForceMapError, ForceMapSpec, SIDE_MM, Span,
 
 const SKIN_MM: [f64; 2] = [540.0, 560.0];
 
-fn map(spec: &str) -> ForceMap {
+pub(super) fn map(spec: &str) -> ForceMap {
     ForceMap::new(spec.parse().unwrap(), SKIN_MM).unwrap()
 }
 
@@ -17,7 +17,7 @@ fn contact((x_mm, y_mm, force_n): (f64, f64, f64)) -> Contact {
     Contact { x_mm, y_mm, force_n }
 }
 
-fn drawn(map: &ForceMap, contacts: &[(f64, f64, f64)]) -> Vec<f32> {
+pub(super) fn drawn(map: &ForceMap, contacts: &[(f64, f64, f64)]) -> Vec<f32> {
     let mut pixels = vec![0.0; map.pixels() * map.pixels()];
     let contacts: Vec<Contact> = contacts.iter().copied().map(contact).collect();
     map.render(&contacts, &mut pixels).unwrap();

@@ -166,8 +166,11 @@ fn contacts(file: &str, batch: &RecordBatch) -> Result<Option<ArrayRef>, Problem
     let wanted = match found.data_type() {
         DataType::List(item) | DataType::LargeList(item) | DataType::FixedSizeList(item, _) => {
             match item.data_type() {
-                // A file whose trials are all untouched.
-                DataType::Null => Some(Arc::new(empty_contact())),
+                // A file whose trials are all untouched: contacts without fields.
+                DataType::Null => {
+                    let contact = DataType::Struct(Vec::<Field>::new().into());
+                    Some(Arc::new(Field::new("item", contact, true)))
+                }
                 DataType::Struct(fields) if fields.iter().all(is_known) => Some(item.clone()),
                 _ => None,
             }
@@ -180,9 +183,4 @@ fn contacts(file: &str, batch: &RecordBatch) -> Result<Option<ArrayRef>, Problem
                      be null or absent";
         Problem::new(file, CONTACTS, found.data_type(), limit)
     })
-}
-
-/// Element type of contacts without fields.
-fn empty_contact() -> Field {
-    Field::new("item", DataType::Struct(Vec::<Field>::new().into()), true)
 }

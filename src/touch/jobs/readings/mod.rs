@@ -16,7 +16,7 @@ use super::scoring::{Reader, Scoring};
 use super::{JobError, JobResult, Jobs, evaluation};
 use crate::dataset::background::background;
 use crate::digest::sha256_hex;
-use crate::evaluate::request::{EvaluationReport, EvaluationRequest, Scored};
+use crate::evaluate::request::{EvaluationReport, EvaluationRequest};
 use crate::ids::DatasetId;
 use crate::infer::answer::Reading;
 use crate::infer::error::InferResult;
@@ -137,8 +137,7 @@ impl Jobs {
         let refused = |key: &str, value: String, limit: &str| {
             JobError::Problems(vec![Problem::new("request", key, value, limit)])
         };
-        let is_fit = matches!(request.scored, Scored::Method(method) if method.is_fit());
-        if !is_fit {
+        if !request.scored.is_fit() {
             let limit = "must be exact: the frames of other methods are read in milliseconds";
             return Err(refused("scored", request.scored.name().into(), limit));
         }
