@@ -3,15 +3,19 @@
     python trainer/examples/rate.py RATE_BINARY [--rounds N] [--seconds S] [--threads T] [--cpu | --gpu] [NET ..]
 
 The three alternate, round after round, so that other load on the machine affects all of them equally;
-the medians over rounds are printed, and the ratios of the medians. On a shared machine, --cpu counts
-seconds of the processor instead of the clock's, with one thread each. Inputs are in memory; layers,
-losses and batches are the same. --gpu: RATE_BINARY was built for a GPU, and PyTorch runs on the NVIDIA GPU, by
-its defaults (TF32 in convolutions alone); both copy every batch from host memory. Needs torch.
+the medians over rounds are printed, and the ratios of the medians. Ours has the settings of the allocator with
+which the service starts the trainer, PyTorch those of this script's environment: set there, both have them.
+On a shared machine, --cpu counts seconds of the processor instead of the clock's, with one thread each. Inputs
+are in memory; layers, losses and batches are the same. --gpu: RATE_BINARY was built for a GPU, and PyTorch runs
+on the NVIDIA GPU, by its defaults (TF32 in convolutions alone); both copy every batch from host memory. Needs
+torch.
 """
-import argparse, json, statistics, subprocess, time
+import argparse, json, os, statistics, subprocess, time
 import torch
 from torch import nn
 
+# As src/touch/jobs/trainer/mod.rs.
+KEEPS_MEMORY = {"MALLOC_ARENA_MAX": "1", "MALLOC_MMAP_MAX_": "0", "MALLOC_TRIM_THRESHOLD_": "1099511627776"}
 NETS = {
     "transfer-net": ('{kind="transfer-net"}', 64),
     "transfer-residual": ('{kind="transfer-net",form="residual"}', 64),
@@ -90,7 +94,9 @@ def torch_rate(name, batch, seconds, fused, cpu, gpu):
 
 
 def ours(binary, net, batch, seconds, threads, cpu):
-    out = subprocess.run([binary, net, str(batch), str(seconds), str(threads)], capture_output=True, text=True, check=True)
+    command = [binary, net, str(batch), str(seconds), str(threads)]
+    environment = {**os.environ, **KEEPS_MEMORY}
+    out = subprocess.run(command, capture_output=True, text=True, check=True, env=environment)
     return json.loads(out.stdout)["samples_per_processor_s" if cpu else "samples_per_s"]
 
 

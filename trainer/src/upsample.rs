@@ -73,8 +73,12 @@ pub(crate) fn conv_transpose(
         .permute([0, 1, 3, 2, 4, 5])
         .reshape([batch, high * stride, wide * stride, outputs]);
     let [tall, broad] = [high * stride - 2 * padding, wide * stride - 2 * padding];
-    let cut =
-        pixels.slice([0..batch, padding..padding + tall, padding..padding + broad, 0..outputs]);
+    // A slice of everything would copy its gradient into zeros.
+    let cut = if padding == 0 {
+        pixels
+    } else {
+        pixels.slice([0..batch, padding..padding + tall, padding..padding + broad, 0..outputs])
+    };
     (cut.reshape([batch * tall * broad, outputs]), [tall, broad])
 }
 

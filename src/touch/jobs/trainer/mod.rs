@@ -35,6 +35,16 @@ static TRAINER: Known = Known {
 /// Phase of a job while the trainer is built.
 const BUILDING: &str = "building the trainer: once, some minutes";
 
+/// Settings of glibc's allocator, by which the trainer keeps the memory that a step frees. By default the kernel gets it
+/// back, and clears it again for the next step: a quarter of the time (docs/figures.md, "Training").
+const KEEPS_MEMORY: [(&str, &str); 3] = [
+    // Blocks over 64 MB do not fit into the arenas of other threads, and would be returned at once.
+    ("MALLOC_ARENA_MAX", "1"),
+    ("MALLOC_MMAP_MAX_", "0"),
+    // Bytes: 1 TiB, never.
+    ("MALLOC_TRIM_THRESHOLD_", "1099511627776"),
+];
+
 /// Time from a request to stop to the end by force: one batch and a checkpoint take less.
 const STOP_MAX: Duration = Duration::from_secs(20);
 
@@ -79,6 +89,7 @@ pub async fn run(
 ) -> Result<Ended, TrainerError> {
     let mut command = Command::new(program);
     command.arg(folder).stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped());
+    command.envs(KEEPS_MEMORY);
     withhold(command.as_std_mut());
     // Ctrl-C in a terminal is for the service, which then stops its trainer in order.
     command.process_group(0);
@@ -139,5 +150,17 @@ mod tests {
             error.contains("/none/palpate-trainer") && error.contains("PALPATE_TRAINER"),
             "{error}"
         );
+    }
+
+    #[tokio::test]
+    async fn a_trainer_keeps_the_memory_that_it_frees() {
+        let folder = tempfile::tempdir().unwrap();
+        let script = folder.path().join("script");
+        let set = "$MALLOC_ARENA_MAX $MALLOC_MMAP_MAX_ $MALLOC_TRIM_THRESHOLD_";
+        let line = format!(r#"echo "{{\"event\":\"failed\",\"error\":\"{set}\"}}""#);
+        // As if `sh` were a trainer, and its script the folder.
+        std::fs::write(&script, line).unwrap();
+        let ended = run(Path::new("/bin/sh"), &script, &Watch::default(), |_| {}).await;
+        assert_eq!(ended.unwrap_err().to_string(), "1 0 1099511627776");
     }
 }
