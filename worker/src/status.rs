@@ -185,7 +185,7 @@ impl Display for Status {
     }
 }
 
-/// A duration for people, as `palpate` shows it: `25 h 12 min`, `3 min 20 s`, `12 s`.
+/// A duration for people, in whole seconds: `25 h 12 min`, `3 min 20 s`, `12 s`.
 fn duration(seconds: u64) -> String {
     match seconds {
         0..60 => format!("{seconds} s"),

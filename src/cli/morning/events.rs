@@ -28,8 +28,11 @@ const EVENTS_SHOWN: usize = 50;
 const EVENTS_PER_REQUEST: u32 = 1000;
 /// Time until a broken stream is opened again.
 const REOPEN_PAUSE: Duration = Duration::from_secs(1);
-/// Widths of the kinds and of the runs of a stream, characters.
+/// Longest wait for the number of an event's run.
+const NUMBER_WAIT: Duration = Duration::from_secs(2);
+/// Width of the kinds of a stream, characters.
 const KIND_WIDTH: usize = 14;
+/// Width of its runs, characters.
 const RUN_WIDTH: usize = 8;
 
 /// Runs `palpate events`.
@@ -147,7 +150,7 @@ async fn follow(client: &Client, args: &EventsArgs) -> CliResult<()> {
     let mut printer = Printer { client, args, numbers: BTreeMap::new() };
     if earlier > 0 {
         for event in newest(client, args, &selection, Some(earlier)).await? {
-            printer.print(&event).await?;
+            printer.print(&event).await;
             last = Some(event.seq.to_string());
         }
     }
@@ -183,7 +186,7 @@ async fn listen(
             if let Ok(event) = serde_json::from_str::<EventView>(&sent.data)
                 && printer.args.selects(&event)
             {
-                printer.print(&event).await?;
+                printer.print(&event).await;
             }
             *last = Some(sent.id);
         }
@@ -201,28 +204,30 @@ struct Printer<'a> {
 
 impl Printer<'_> {
     /// Prints an event, with the number of its run if the stream may have events of several ones.
-    async fn print(&mut self, event: &EventView) -> CliResult<()> {
+    async fn print(&mut self, event: &EventView) {
         if self.args.at.json {
             say_json(event);
-            return Ok(());
+            return;
         }
         let words = event.sentence().replace('\n', " ");
         let run = match self.args.run {
             Some(_) => String::new(),
-            None => format!("  {:<RUN_WIDTH$}", or_dash(self.number(event).await?)),
+            None => format!("  {:<RUN_WIDTH$}", or_dash(self.run(event).await)),
         };
         say(format_args!("{}  {:<KIND_WIDTH$}{run}  {words}", time(event), event.kind));
-        Ok(())
     }
 
-    /// The run of an event, by its number: `run 3`.
-    async fn number(&mut self, event: &EventView) -> CliResult<Option<String>> {
-        let Some(run) = event.run else { return Ok(None) };
-        let uid = run.to_string();
+    /// The run of an event by its number, `run 3`; by the start of its id if the service does not tell the number: an event
+    /// that has arrived is shown in any case.
+    async fn run(&mut self, event: &EventView) -> Option<String> {
+        let uid = event.run?.to_string();
         if !self.numbers.contains_key(&uid) {
-            self.numbers.extend(numbers_of(self.client, [run].into_iter()).await?);
+            let client = self.client.patient(NUMBER_WAIT);
+            let found = numbers_of(&client, event.run.into_iter()).await;
+            self.numbers.extend(found.unwrap_or_default());
         }
-        Ok(self.numbers.get(&uid).map(|number| format!("run {number}")))
+        let number = self.numbers.get(&uid).map(|number| format!("run {number}"));
+        Some(number.unwrap_or_else(|| uid.chars().take(RUN_WIDTH).collect()))
     }
 }
 

@@ -1,6 +1,6 @@
 //! The status over a WebSocket, with every sample of the load cells: one message is made for all clients.
-//! Uses: `status`, the campaign's samples, `envelope`. Never: a queue (a slow client misses messages), a
-//! wait of the campaign.
+//! Uses: `status`, the campaign's samples, `envelope`, `live`. Never: a queue (a slow client misses messages), a wait of
+//! the campaign.
 
 use std::iter::from_fn;
 use std::time::Duration;

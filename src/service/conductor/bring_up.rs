@@ -58,8 +58,10 @@ impl Conductor {
                     RigState::Disconnected | RigState::Disarmed | RigState::Armed => {
                         let taken = tokio::time::timeout(HOMING_POLL, &mut locked).await;
                         if let Ok(refused) = taken {
-                            // Refused if nothing moves any more.
-                            let _ = campaign.ask(Request::Abort).await;
+                            // Refused if nothing moves any more. A run that has begun meanwhile continues.
+                            if campaign.status().run.is_none() {
+                                let _ = campaign.ask(Request::Abort).await;
+                            }
                             return Err(refused);
                         }
                     }
@@ -99,8 +101,9 @@ impl Conductor {
 #[cfg(test)]
 mod tests {
     use super::super::AutoResume;
-    use super::super::stand_in::{conductor, earlier, granted};
+    use super::super::stand_in::{conductor, earlier, granted, unasked};
     use super::*;
+    use crate::campaign::shown::show;
     use crate::state::StoredState;
 
     #[tokio::test]
@@ -138,5 +141,32 @@ mod tests {
         assert!(words.starts_with("bob has taken the operator lock: hands in the rig"), "{words}");
         assert_eq!(conductor.present(&run).await.unwrap().state, StoredState::Interrupted);
         assert!(conductor.why_dropped(next.uid).is_some());
+    }
+
+    #[tokio::test]
+    async fn a_lock_that_is_taken_during_the_homing_aborts_no_other_run() {
+        let (conductor, mut inbox, _folder) = conductor().await;
+        let [run, _next] = earlier(&conductor).await;
+        let job = conductor.prepare_stored(&run).await.unwrap().job(&run);
+        inbox.status.send_modify(|status| status.rig.state = RigState::Disarmed);
+        let resumes = async {
+            let resumes = conductor.resume_after_restart(AutoResume::Allowed);
+            let begins = async {
+                granted(&mut inbox, |request| matches!(request, Request::Home)).await;
+                inbox.status.send_modify(|status| {
+                    status.rig.state = RigState::Armed;
+                    status.run = Some(show::started(&job));
+                });
+                conductor.inner.store.set_lock("bob", "hands in the rig").await.unwrap();
+                unasked(&mut inbox, std::future::pending::<()>()).await;
+            };
+            tokio::select! {
+                taken = resumes => taken,
+                () = begins => unreachable!(),
+            }
+        };
+        let taken = tokio::time::timeout(HOMING_WAIT / 2, resumes).await.expect("it ends");
+        let words = taken.unwrap_err().to_string();
+        assert!(words.starts_with("bob has taken the operator lock: hands in the rig"), "{words}");
     }
 }

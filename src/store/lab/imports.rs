@@ -281,9 +281,9 @@ async fn insert(
     };
     let raw = as_counts(&trial.frames_v);
     let mean_v = &trial.voltages_v;
-    let inserted = trials::insert(connection, scan_id, &numbers, mean_v, &raw, STORING_IMPORT);
-    let inserted = inserted.await?;
-    let id = inserted.ok_or_else(|| refused("its key", "must be new"))?;
+    let id = trials::insert(connection, scan_id, &numbers, mean_v, &raw, STORING_IMPORT)
+        .await?
+        .ok_or_else(|| refused("its key", "must be new"))?;
     let (Some(model), Some(frame), Some((rmse_v, fvu))) = (model, &trial.sim_voltages_v, trial.fit)
     else {
         return Ok(());

@@ -4,6 +4,7 @@
 use super::{execute, findings, fresh, hex_trial, new_run, now, open, time};
 use crate::ids::RunUid;
 use crate::journal::{ExitStatus, Journal};
+use crate::record::TareRecord;
 use crate::state::{PausedWhy, StateChange, StoredState};
 use crate::table::RUN_COLUMNS;
 use crate::{Condition, Label, NewRun, RunKind, Store, StoreError};
@@ -351,6 +352,8 @@ async fn nothing_is_stored_for_a_run_that_is_not_there() {
     let (_folder, store) = fresh().await;
     assert!(store.trial(RunUid::new(), &hex_trial(0, 0, &[9.0])).await.is_err());
     assert!(store.event(Some(RunUid::new()), "state", serde_json::json!({}), now()).await.is_err());
+    let tare = TareRecord { configuration: 0, volts: vec![], samples: 1, at: now() };
+    assert!(store.tare(RunUid::new(), &tare).await.is_err());
     assert!(store.events_since(0, 10, None, &[]).await.unwrap().is_empty());
 }
 

@@ -313,8 +313,8 @@ impl Stage {
         Halt::trip(TripKind::Position, format!("did not arrive in time: {}", words.join(", ")))
     }
 
-    /// Moves over a stand. The radius is always approached from below, by at least the backlash of the slot, so that it
-    /// has no effect, also after a motion that was interrupted, a jog or a homing.
+    /// Moves over a stand. The radius is always approached from below, by at least the backlash of the slot (less only at
+    /// its lower end), so that it has no effect, also after a motion that was interrupted, a jog or a homing.
     ///
     /// # Errors
     /// As `travel`.

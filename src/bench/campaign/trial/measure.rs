@@ -31,11 +31,11 @@ pub async fn settle(
 ) -> Result<Settled, Halt> {
     let start_s = stage.clock.process_s();
     let sample_s = (stage.config.cells.update_ms / 1e3).max(0.05);
-    let mut last = stage.read_cells(control).await?.volts;
-    let mut last_s = start_s;
-    let mut change_n = f64::INFINITY;
-    // The wait takes no longer for it, and no frame is taken of a load elsewhere.
+    // The wait takes no longer unless this does, and no frame is taken of a load elsewhere.
     stage.require_reached(control, target).await?;
+    let mut last = stage.read_cells(control).await?.volts;
+    let mut last_s = stage.clock.process_s();
+    let mut change_n = f64::INFINITY;
     loop {
         stage.poll_pause().await;
         control.attend()?;

@@ -78,7 +78,8 @@ impl Engine {
             Halt::Trip(trip) => {
                 self.note_attempt(job, &trip.detail, attempts);
                 let may = job.auto_resume && trip.kind.may_pass();
-                if may && self.control.is_operated_within(OPERATED_WITHIN) {
+                let is_suspending = self.control.run() == RunState::Suspending(PausedWhy::Trip);
+                if may && is_suspending && self.control.is_operated_within(OPERATED_WITHIN) {
                     self.control.show_run(|run| run.waiting_for = Some(BY_HAND.into()));
                 } else if may && *auto_resumes < job.plan.policy.max_auto_resumes {
                     *auto_resumes += 1;

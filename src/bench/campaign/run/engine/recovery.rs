@@ -52,7 +52,7 @@ enum Recovery {
     Held(String),
     /// A drive has lost its power, or a person was there, as text.
     ForPerson(String),
-    /// The reset, the homing or the resume failed: why, as text, unless it tripped.
+    /// The reset, the homing or the resume failed: why, as text, if it is known.
     Failed(Option<String>),
     /// The run resumes.
     Done,

@@ -6,9 +6,9 @@ use std::sync::Arc;
 
 use super::{Answer, Engine};
 use crate::campaign::run::run_state::PausedWhy;
-use crate::campaign::shown::command::Refusal;
+use crate::campaign::shown::command::{ANSWERED_WITHIN, Refusal};
 use crate::campaign::trial::rest::Window;
-use crate::campaign::trial::untouched::{Seen, UntouchedMean, UntouchedSkin};
+use crate::campaign::trial::untouched::{Seen, UntouchedMean, UntouchedSkin, WINDOW_FRAMES};
 use crate::clock::Clock;
 use crate::record::Untouched;
 use crate::rig::error::RigError;
@@ -55,6 +55,16 @@ impl Engine {
 
     /// A person states that nothing touches the skin; answered once it is at rest.
     pub(super) fn tare_skin(&mut self, answer: Answer) {
+        let process_s = 2.0 * WINDOW_FRAMES as f64 / self.config.ert().frame_rate_hz();
+        let wall_s = process_s / self.config.clock_rate();
+        if wall_s > ANSWERED_WITHIN.as_secs_f64() {
+            let words = format!(
+                "tare is not possible: its {} frames take {wall_s:.0} s; ert.frame_rate_hz must be larger",
+                2 * WINDOW_FRAMES
+            );
+            let _ = answer.send(Err(Refusal::State(words)));
+            return;
+        }
         self.empty_skin = EmptySkin::Tared { answer, before: None, windows: 0 };
     }
 

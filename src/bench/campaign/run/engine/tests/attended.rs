@@ -147,7 +147,9 @@ async fn a_run_states_why_the_rig_could_not_be_armed_for_its_automatic_resume() 
     };
     let (mut attempts, mut resumes) = (Attempts::default(), 1);
     let waits = engine.wait(&job, &mut attempts, Some(&mut resumes));
-    let (next, is_stated) = tokio::join!(waits, states);
+    let both = async { tokio::join!(waits, states) };
+    let both = tokio::time::timeout(Duration::from_secs(60), both).await;
+    let (next, is_stated) = both.expect("it is stated");
     assert!(matches!(next, Next::Leave) && is_stated);
     assert_eq!(engine.control.rig(), RigState::Homed);
 }

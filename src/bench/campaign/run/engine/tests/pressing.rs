@@ -279,8 +279,9 @@ async fn disturbed(during: Phase, change: fn(&mut AxisStatus)) -> (TripKind, Pha
         drop(status.wait_for(is_in).await.unwrap());
         change(&mut axes.x.status.lock());
     };
-    let both = async { tokio::join!(press, disturb) };
-    let (pressed, ()) = tokio::time::timeout(HAPPENS_WITHIN, both).await.expect("it trips");
+    // In this order: x changes before z moves on.
+    let both = async { futures::join!(disturb, press) };
+    let ((), pressed) = tokio::time::timeout(HAPPENS_WITHIN, both).await.expect("it trips");
     let halt = pressed.unwrap_err();
     let trip = halt.as_trip().expect("a trip");
     assert!(trip.detail.starts_with("x "), "{}", trip.detail);
@@ -320,8 +321,8 @@ async fn no_place_is_touched_that_an_axis_has_left_during_the_tare() {
         }
         axes.x.status.lock().position += 1.0;
     };
-    let both = async { tokio::join!(touches, leave) };
-    let (touched, ()) = tokio::time::timeout(HAPPENS_WITHIN, both).await.expect("it trips");
+    let both = async { futures::join!(leave, touches) };
+    let ((), touched) = tokio::time::timeout(HAPPENS_WITHIN, both).await.expect("it trips");
     let halt = touched.unwrap_err();
     let trip = halt.as_trip().expect("a trip");
     assert!(trip.detail.starts_with("x measured at "), "{}", trip.detail);
