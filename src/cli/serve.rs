@@ -6,6 +6,7 @@ use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 
 use clap::Args;
+use sd_notify::NotifyState;
 
 use super::bench_args::BenchArgs;
 use super::browser;
@@ -135,6 +136,10 @@ async fn serve_rig(
         let (version, folder) = (env!("CARGO_PKG_VERSION"), data.display());
         let rig = if args.desk { "no rig".into() } else { format!("rig {name} ({label})") };
         say(format_args!("palpate {version} at {url}, data in {folder}, {rig}"));
+        // Units that are ordered after this one begin now.
+        if let Err(error) = sd_notify::notify(&[NotifyState::Ready]) {
+            tracing::warn!(%error, "systemd does not know that the service is ready");
+        }
         if args.open {
             browser::open(&service.local_url());
         }

@@ -26,6 +26,7 @@ mod mistakes;
 mod network;
 mod onnx;
 mod night;
+mod notify;
 mod offline;
 mod old_data;
 mod once;
