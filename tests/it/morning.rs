@@ -195,7 +195,7 @@ async fn events_are_selected_by_kind_and_followed_as_they_happen() {
     let line = tokio::task::spawn_blocking(move || lines.next());
     let line = timeout(LIMIT, line).await.expect("no event").unwrap().unwrap().unwrap();
     let words: Vec<&str> = line.split_whitespace().skip(2).take(5).collect();
-    assert_eq!(words, ["ended", "run", "1", "run", "ended"], "{line}");
+    assert_eq!(words, ["ended", "run", "1", "run", "ended,"], "{line}");
 
     let mut follow = command(&url, &["events", "-f", "--kind", "trip", "--json"]);
     let mut follow = Process(follow.stdout(Stdio::piped()).spawn().unwrap());

@@ -27,8 +27,8 @@ pub enum LinearError {
     /// The singular values did not converge.
     #[error("linear model: singular values did not converge")]
     SingularValues,
-    /// No point changes the frame by this force.
-    #[error("linear model: no point moves the frame by this force")]
+    /// No point changes the frame at this force.
+    #[error("linear model: no point changes the frame at the force of the slopes; take a larger one")]
     Flat,
     /// The frame has the wrong length.
     #[error("linear reconstruction: a frame of {found} voltages, {needed} needed")]

@@ -12,7 +12,7 @@
 
 use std::sync::Arc;
 
-use super::{Resistor, SheetNetwork, TILE};
+use super::{Resistor, SheetNetwork, TILE, row_of};
 use crate::order::Part;
 
 /// Number of pivots that update the rest of a front together.
@@ -342,9 +342,4 @@ fn fronts(
         front.resistors.push((at, r.conductance_s));
     }
     fronts
-}
-
-/// Index of a position among ascending ones.
-pub(super) fn row_of(sorted: &[u32], at: u32) -> u32 {
-    sorted.binary_search(&at).expect("a front holds every node that its children left") as u32
 }

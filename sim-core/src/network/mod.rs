@@ -128,10 +128,15 @@ impl SheetNetwork {
         neighbours
     }
 
-    /// Parts of the removal of all nodes except the electrodes, which are the last part: nothing is removed there.
+    /// Parts of the removal of all nodes except the electrodes, which remain in the last part, the root: it removes nothing.
     fn parts(&self, neighbours: &[Vec<u32>]) -> Vec<Part> {
         let mut parts = dissect(&self.places_mm, neighbours, &self.electrodes);
         parts.push(Part { nodes: Vec::new(), children: vec![parts.len() - 1] });
         parts
     }
+}
+
+/// Index of a position among ascending ones.
+fn row_of(sorted: &[u32], at: u32) -> u32 {
+    sorted.binary_search(&at).expect("a front holds every node that its children left") as u32
 }

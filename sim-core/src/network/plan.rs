@@ -6,8 +6,7 @@
 //! `boundary`, the top layer always last). The conductances that the removal of the pivots adds
 //! between boundary nodes are the front's remainder, which is added to its parent.
 
-use super::kron::row_of;
-use super::{SheetNetwork, TILE};
+use super::{SheetNetwork, TILE, row_of};
 use crate::order::Part;
 
 /// One dense front.

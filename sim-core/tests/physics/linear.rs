@@ -128,7 +128,7 @@ fn what_cannot_be_inverted_is_refused_by_name() {
     frame_v[9] = f64::NAN;
     let refused = one_step().solve(&frame_v, Penalty::Gcv);
     assert_eq!(refused, Err(LinearError::NotFinite { channel: 9 }));
-    // A millionth of a newton equals zero.
+    // A millionth of a newton compresses the foam by less than the least compression that counts: nothing changes.
     let untouched = PointSlopes::secant(model(), 1e-6).unwrap();
     assert!(matches!(OneStep::new(&untouched, Regularisation::Noser), Err(LinearError::Flat)));
 }

@@ -35,8 +35,8 @@ static TRAINER: Known = Known {
 /// Phase of a job while the trainer is built.
 const BUILDING: &str = "building the trainer: once, some minutes";
 
-/// Settings of glibc's allocator, by which the trainer keeps the memory that a step frees. By default the kernel gets it
-/// back, and clears it again for the next step: a quarter of the time (docs/figures.md, "Training").
+/// Settings of glibc's allocator, by which the trainer keeps the memory that a step frees. By default the kernel
+/// gets it back, and clears it again for the next step (docs/figures.md, "Where the time of a step goes").
 const KEEPS_MEMORY: [(&str, &str); 3] = [
     // Blocks over 64 MB do not fit into the arenas of other threads, and would be returned at once.
     ("MALLOC_ARENA_MAX", "1"),
