@@ -28,7 +28,9 @@ pub enum LinearError {
     #[error("linear model: singular values did not converge")]
     SingularValues,
     /// No point changes the frame at this force.
-    #[error("linear model: no point changes the frame at the force of the slopes; take a larger one")]
+    #[error(
+        "linear model: no point changes the frame at the force of the slopes; take a larger one"
+    )]
     Flat,
     /// The frame has the wrong length.
     #[error("linear reconstruction: a frame of {found} voltages, {needed} needed")]
