@@ -2,7 +2,7 @@
 //! requests that follow from it.
 //! PURE. Uses: `lab` (trainings), `evaluate::request`. Never: training, scoring.
 
-use crate::dataset::force_map::ForceMapSpec;
+use crate::dataset::force_map::{ForceMapSpec, TABLE_IV_MAPS};
 use crate::evaluate::request::{EvaluationRequest, FramesRead, OffsetsRead, Scored};
 use crate::lab::{Noise, Training};
 
@@ -20,6 +20,8 @@ pub const END_TO_END: &str = "end-to-end";
 pub const REGRESSIONS: [(&str, &str); 2] = [("ridge", "ridge"), ("kernel-ridge", "kernel ridge")];
 /// Pixels of the paper's force maps, mm.
 const PIXELS_MM: [f64; 3] = [4.0, 10.0, 20.0];
+/// The coarser of the two pixels of the factorial design, mm.
+const COARSE_MM: f64 = 20.0;
 
 /// Extent of training and scoring.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -44,7 +46,7 @@ impl Scale {
 
     /// The finer pixel of the paper's factorial design, mm. The small scale uses 10 mm, since a net
     /// of 4 mm learns almost nothing in a few minutes.
-    pub fn fine_mm(self) -> f64 {
+    fn fine_mm(self) -> f64 {
         if self == Self::Small { 10.0 } else { 4.0 }
     }
 
@@ -106,6 +108,8 @@ pub struct Budget {
     pub transfer: String,
     /// Whether datasets are split by trial, as the paper's, in place of by configuration.
     pub by_trial: bool,
+    /// The finest pixel whose maps are trained, mm, instead of that of the scale.
+    pub finest_mm: Option<f64>,
 }
 
 impl Budget {
@@ -113,6 +117,17 @@ impl Budget {
     pub fn dataset(&self, name: &str) -> String {
         let is_split = self.by_trial && [R2S, S2S, REAL].contains(&name);
         if is_split { format!("{name}-by-trial") } else { name.into() }
+    }
+
+    /// The two pixels of the factorial design, mm, the finer one first.
+    pub fn pixels_mm(&self) -> [f64; 2] {
+        [self.finest_mm.unwrap_or_else(|| self.scale.fine_mm()), COARSE_MM]
+    }
+
+    /// The maps of Table IV that are trained: those whose pixels are no finer than the finest, in the order of the table.
+    pub fn table_iv_maps(&self) -> Vec<ForceMapSpec> {
+        let is_trained = |map: &ForceMapSpec| self.finest_mm.is_none_or(|mm| map.pixel_mm >= mm);
+        TABLE_IV_MAPS.into_iter().filter(is_trained).collect()
     }
 
     /// Training of a Transfer-Net of the budget's recipe, on rows of a dataset.
@@ -204,7 +219,8 @@ impl Budget {
             format!("{} epochs of {rows}", self.epochs.unwrap_or(epochs))
         };
         let transfer = self.scale.transfer();
-        let maps = PIXELS_MM.map(|pixel_mm| {
+        let is_trained = |mm: &f64| self.finest_mm.is_none_or(|finest| *mm >= finest);
+        let maps = PIXELS_MM.into_iter().filter(is_trained).map(|pixel_mm| {
             let training = self.scale.maps(pixel_mm);
             format!("{} ({pixel_mm} mm)", extent(training.epochs, training.rows))
         });
@@ -214,7 +230,7 @@ impl Budget {
             self.scale.name(),
             self.transfer,
             extent(transfer.0, transfer.1),
-            maps.join(", "),
+            maps.collect::<Vec<_>>().join(", "),
             self.seed,
             if self.by_trial { "; split by trial" } else { "" },
         )
@@ -230,8 +246,9 @@ pub fn up_to(contacts: u32) -> String {
 #[cfg(test)]
 pub fn small() -> Budget {
     let transfer = "transfer-net".into();
-    let (epochs, rows, scored) = (None, None, None);
-    Budget { scale: Scale::Small, epochs, rows, scored, seed: 1, transfer, by_trial: false }
+    let (epochs, rows, scored, finest_mm) = (None, None, None, None);
+    let (scale, by_trial) = (Scale::Small, false);
+    Budget { scale, epochs, rows, scored, seed: 1, transfer, by_trial, finest_mm }
 }
 
 #[cfg(test)]
@@ -276,5 +293,17 @@ mod tests {
         assert_eq!(changed.request(Method::Exact, "real", None).limit, Some(7));
         assert_eq!(small().request(Method::Exact, "real", None).limit, Some(2_000));
         assert!(changed.caption("virtual").contains("3 epochs of up to 50 rows"));
+    }
+
+    #[test]
+    fn maps_with_finer_pixels_than_the_finest_are_not_trained() {
+        let full = Budget { scale: Scale::Full, ..small() };
+        assert_eq!((full.pixels_mm(), full.table_iv_maps().len()), ([4.0, 20.0], 12));
+        let coarse = Budget { finest_mm: Some(10.0), ..full };
+        let maps: Vec<String> = coarse.table_iv_maps().iter().map(ToString::to_string).collect();
+        assert_eq!(maps, ["10x10", "10x30", "10x50", "10x70", "20x20", "20x60"]);
+        assert_eq!(coarse.pixels_mm(), [10.0, 20.0]);
+        let caption = coarse.caption("virtual");
+        assert!(caption.contains("(10 mm)") && !caption.contains("(4 mm)"), "{caption}");
     }
 }

@@ -22,8 +22,6 @@ use crate::noise::LEVELS;
 use crate::rows::{distances_note, perfects};
 use crate::sheet::{OutputFile, Sheet};
 
-/// The coarser of the two pixels, mm; the finer one depends on the scale.
-pub const COARSE_MM: f64 = 20.0;
 /// The two diameters over which forces are spread, mm.
 pub const DIAMETERS_MM: [f64; 2] = [20.0, 60.0];
 /// The paper's four criteria: key in reports, name in tables, metric.
@@ -68,7 +66,7 @@ impl Condition {
 pub async fn fig_11<L: Lab>(lab: &L, budget: &Budget) -> Result<Sheet, L::Error> {
     let transfer = lab.train(&budget.transfer_to_6()).await?;
     let mut conditions = Vec::new();
-    for (p, pixel_mm) in pixels_mm(budget).into_iter().enumerate() {
+    for (p, pixel_mm) in budget.pixels_mm().into_iter().enumerate() {
         for (d, diameter_mm) in DIAMETERS_MM.into_iter().enumerate() {
             for (n, level) in LEVELS.into_iter().enumerate() {
                 let map = ForceMapSpec { pixel_mm, diameter_mm, side_mm: SIDE_MM };
@@ -83,10 +81,6 @@ pub async fn fig_11<L: Lab>(lab: &L, budget: &Budget) -> Result<Sheet, L::Error>
         }
     }
     Ok(sheet(budget, &transfer, &conditions)?)
-}
-
-fn pixels_mm(budget: &Budget) -> [f64; 2] {
-    [budget.scale.fine_mm(), COARSE_MM]
 }
 
 fn percent(level: f64) -> String {
@@ -149,7 +143,7 @@ fn design(budget: &Budget) -> StudyResult<Factorial> {
     let factor = |name: &str, levels: Vec<String>| Factor { name: name.into(), levels };
     let mm = |values: [f64; 2]| values.map(|mm| format!("{mm} mm")).to_vec();
     let factors = vec![
-        factor("pixel", mm(pixels_mm(budget))),
+        factor("pixel", mm(budget.pixels_mm())),
         factor("diameter", mm(DIAMETERS_MM)),
         factor("noise", LEVELS.map(percent).to_vec()),
     ];

@@ -5,11 +5,11 @@
 use serde_json::json;
 
 use crate::budget::{Budget, END_TO_END, R2S, RECON_NET, REGRESSIONS, Scale, up_to};
-use crate::dataset::force_map::{ForceMapSpec, SIDE_MM, TABLE_IV_MAPS};
+use crate::dataset::force_map::{ForceMapSpec, SIDE_MM};
 use crate::evaluate::published::REAL_UNSEEN;
 use crate::evaluate::request::{EvaluationReport, EvaluationRequest, FramesRead};
 use crate::evaluate::table::{SCORE_COLUMNS, Uncertainty, markdown, published_row, score_row};
-use crate::factorial::{COARSE_MM, DIAMETERS_MM};
+use crate::factorial::DIAMETERS_MM;
 use crate::figure::Heading;
 use crate::ids::{CalibrationId, ModelId};
 use crate::infer::methods::Method;
@@ -174,7 +174,7 @@ impl<L: Lab> Study<'_, L> {
             return Ok(scores);
         }
         let transfer = self.lab.train(&self.training(self.budget.transfer_to_6())).await?;
-        for map in maps(self.budget.scale) {
+        for map in maps(self.budget) {
             for level in LEVELS {
                 let training = self.budget.map_net(RECON_NET, map, Noise::at(level, &transfer));
                 let net = self.lab.train(&self.training(training)).await?;
@@ -202,7 +202,7 @@ impl<L: Lab> Study<'_, L> {
     /// Scores nets of a recipe, from measured voltages to each map.
     async fn end_to_end(&self, recipe: &str) -> Result<Vec<Named>, L::Error> {
         let mut scores = Vec::new();
-        for map in maps(self.budget.scale) {
+        for map in maps(self.budget) {
             let training = self.training(self.budget.map_net(recipe, map, None));
             let net = self.lab.train(&training).await?;
             let mut request = self.request(Method::Paper);
@@ -248,14 +248,14 @@ impl<L: Lab> Study<'_, L> {
 }
 
 /// The maps of Table IV; below full scale those of the factorial design.
-fn maps(scale: Scale) -> Vec<ForceMapSpec> {
-    if scale == Scale::Full {
-        return TABLE_IV_MAPS.to_vec();
+fn maps(budget: &Budget) -> Vec<ForceMapSpec> {
+    if budget.scale == Scale::Full {
+        return budget.table_iv_maps();
     }
     let of_pixel = |pixel_mm| {
         DIAMETERS_MM.map(|diameter_mm| ForceMapSpec { pixel_mm, diameter_mm, side_mm: SIDE_MM })
     };
-    [scale.fine_mm(), COARSE_MM].into_iter().flat_map(of_pixel).collect()
+    budget.pixels_mm().into_iter().flat_map(of_pixel).collect()
 }
 
 /// The best by the paper's rule (V-D).

@@ -32,11 +32,14 @@ use crate::learn::model_file::Manifest;
 use crate::learn::order::{MANIFEST, ONNX, RESIDUALS};
 use crate::learn::residuals::Residuals;
 use crate::simulate::schema::SIM_VOLTAGES_V;
-use crate::store::{RunKind, RunRow};
+use crate::store::{RunKind, RunRow, TaskRow, TaskState};
 use crate::studies::budget::{Budget, Scale};
 use crate::studies::lab::{DatasetFacts, Lab, NO_METHOD, StudyError, TableNet, Training, Trial};
 use crate::studies::sheet::Sheet;
 use crate::syntax::parse_toml;
+
+/// Newest jobs among which one of the same request is looked for.
+const JOBS_LOOKED_AT: usize = 1000;
 
 /// Extent of training and scoring.
 #[derive(Debug, Clone, Copy, ValueEnum)]
@@ -73,6 +76,9 @@ pub struct ExtentArgs {
     /// Split real, r2s-transfer and s2s-recon by trial, as the paper did, in place of by configuration.
     #[arg(long)]
     by_trial: bool,
+    /// Finest pixel of the force maps that are trained, 4 or 10 mm, instead of that of the scale.
+    #[arg(long, value_name = "MM", value_parser = ["4", "10"])]
+    finest_mm: Option<String>,
 }
 
 /// Options of a table.
@@ -105,6 +111,8 @@ impl ExtentArgs {
             seed: self.seed,
             transfer: self.transfer.clone(),
             by_trial: self.by_trial,
+            // The parser admits two numbers.
+            finest_mm: self.finest_mm.as_deref().and_then(|mm| mm.parse().ok()),
         }
     }
 }
@@ -238,6 +246,21 @@ impl ServiceLab {
         self.client.upload("/api/v1/models", &folder.join(ONNX), texts).await
     }
 
+    /// Requests a job and waits for its end. A job of the same request that has not ended is not requested a second time:
+    /// the service resumes it if an earlier command was killed.
+    async fn job(&self, path: &str, request: Value) -> CliResult<JobOut> {
+        let (jobs, _) = self.client.first::<JobOut>("/api/v1/jobs?", JOBS_LOOKED_AT).await?;
+        let is_same = |job: &JobOut| {
+            let TaskRow { state, request: of, .. } = &job.task;
+            matches!(state, TaskState::Waiting | TaskState::Running) && *of == request
+        };
+        let asked = match jobs.into_iter().find(is_same) {
+            Some(job) => job,
+            None => self.client.post(&format!("/api/v1/{path}"), &request).await?,
+        };
+        wait_for(&self.client, asked).await
+    }
+
     /// Description of a dataset, which is made if needed.
     async fn dataset(&self, name: &str) -> CliResult<Value> {
         let client = self.client.patient(DATASET_WAIT).showing("making the dataset");
@@ -308,9 +331,7 @@ impl Lab for ServiceLab {
         if self.output == Output::Text {
             note(format_args!("training {stem}"));
         }
-        let asked: JobOut =
-            self.client.post("/api/v1/trainings", &json!({ "recipe": recipe })).await?;
-        let done = wait_for(&self.client, asked).await?;
+        let done = self.job("trainings", json!({ "recipe": recipe })).await?;
         let id = done.task.result.as_ref().and_then(|r| r["model"].as_str()).unwrap_or_default();
         let model: ModelOut = self.client.get(&format!("/api/v1/models/{id}")).await?;
         Ok(model.id)
@@ -321,8 +342,7 @@ impl Lab for ServiceLab {
         if let Some(NetScore { report, .. }) = known {
             return Ok(report);
         }
-        let asked: JobOut = self.client.post("/api/v1/evaluations", request).await?;
-        let done = wait_for(&self.client, asked).await?;
+        let done = self.job("evaluations", json!(request)).await?;
         let report = serde_json::from_value(done.task.result.unwrap_or_default());
         report.map_err(|error| CliError::Refused {
             status: 500,

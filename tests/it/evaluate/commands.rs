@@ -1,8 +1,9 @@
 //! The `palpate evaluate` commands, run as a person runs them, on few trials with made-up frames: what each
 //! trains and scores, the form of its table, and its files. The scores themselves mean nothing here.
 
+use std::fs::{self, DirEntry};
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
+use std::process::{Command, Output, Stdio};
 
 use palpate::store::{Contact, ImportedTrial, Label, NewRun, RunKind};
 use rand::SeedableRng;
@@ -11,7 +12,7 @@ use serde_json::Value;
 use tokio::sync::OnceCell;
 
 use crate::datasets::filled::{copied, copy_filled, folder, new_run, press_run, store, twins_but};
-use crate::support::{PALPATE, VIRTUAL_RIG, succeeded};
+use crate::support::{PALPATE, Process, VIRTUAL_RIG, succeeded};
 
 /// Columns of a table of scores of contacts.
 const SCORES: [&str; 10] = [
@@ -67,7 +68,7 @@ pub(super) fn evaluate(data: &Path, command: &str, options: &[&str]) -> Value {
 
 /// The written table.
 pub(super) fn table_text(data: &Path, name: &str) -> String {
-    std::fs::read_to_string(data.join("tables").join(format!("{name}.md"))).unwrap()
+    fs::read_to_string(data.join("tables").join(format!("{name}.md"))).unwrap()
 }
 
 /// Number of rows of the first table with the columns `head` in a table file.
@@ -85,7 +86,7 @@ fn rows(data: &Path, name: &str, head: &[&str]) -> usize {
 }
 
 fn is_svg(data: &Path, name: &str, label: &str) {
-    let text = std::fs::read_to_string(data.join("tables").join(name)).unwrap();
+    let text = fs::read_to_string(data.join("tables").join(name)).unwrap();
     assert!(text.starts_with("<svg") && text.contains(label), "{name}");
 }
 
@@ -195,6 +196,33 @@ async fn every_command_trains_scores_and_writes_what_it_is_for() {
     assert_eq!(split, (&"real-by-trial".into(), &"trial".into()));
 }
 
+/// The service of a killed command is gone, too; that of the next one resumes its training.
+#[tokio::test]
+async fn a_command_that_was_killed_and_runs_again_trains_no_net_twice() {
+    let data = folder("evaluate-killed");
+    trials(&data).await;
+    let options = ["count", "--epochs", "3000", "--rows", "40", "--scored", "20"];
+    let mut command = Command::new(PALPATE);
+    command.args(["evaluate", "quantity"]).args(options).env("PALPATE_DATA", &data);
+    command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());
+    let mut killed = Process(command.spawn().unwrap());
+    let is_perceptron = |folder: std::io::Result<DirEntry>| {
+        let order = fs::read_to_string(folder.unwrap().path().join("order.json"));
+        order.is_ok_and(|order| order.contains("mlp"))
+    };
+    while !fs::read_dir(data.join("jobs")).is_ok_and(|mut jobs| jobs.any(is_perceptron)) {
+        assert!(killed.0.try_wait().unwrap().is_none(), "it trained all nets or failed");
+        tokio::time::sleep(std::time::Duration::from_millis(1)).await;
+    }
+    drop(killed);
+    evaluate(&data, "quantity", &options);
+    let listed = succeeded(&palpate(&data, &["job", "list", "--json"]));
+    let jobs = listed.lines().map(|line| serde_json::from_str::<Value>(line).unwrap());
+    let trainings = jobs.filter(|job| job["kind"] == "training");
+    let states: Vec<Value> = trainings.map(|mut job| job["state"].take()).collect();
+    assert_eq!(states, ["done"; 3], "two regressions and a net");
+}
+
 /// Each place of a pad has a separate channel; the file states means alone.
 async fn pad(data: &Path) {
     const PAD: &str = "name = \"pad\"\nchannels = 16\nwidth_mm = 100\nheight_mm = 100\n";
@@ -225,7 +253,7 @@ async fn pad(data: &Path) {
     store.close().await;
     let split = "name = \"pad\"\ntask = \"real\"\nruns = [\"pad-trials\"]\n\n\
                  [split]\nby = \"trial\"\nratio = [3, 1, 1]\nseed = 1\n";
-    std::fs::write(data.join("pad.toml"), split).unwrap();
+    fs::write(data.join("pad.toml"), split).unwrap();
     succeeded(&palpate(data, &["dataset", "make", "pad.toml"]));
 }
 
@@ -272,7 +300,7 @@ async fn a_learning_curve_states_the_labels_of_all_rows() {
     let tiny = ["--map", "20x60", "--rows", "40", "--epochs", "1"];
     succeeded(&palpate(&data, &[&["train", "recon-net"][..], &tiny].concat()));
     succeeded(&palpate(&data, &["job", "losses", "last", "--plot", "losses.svg"]));
-    let picture = std::fs::read_to_string(data.join("losses.svg")).unwrap();
+    let picture = fs::read_to_string(data.join("losses.svg")).unwrap();
     assert!(picture.contains("measured and virtual, n = 1 "), "{picture}");
 }
 
