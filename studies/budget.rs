@@ -119,9 +119,10 @@ impl Budget {
         if is_split { format!("{name}-by-trial") } else { name.into() }
     }
 
-    /// The two pixels of the factorial design, mm, the finer one first.
-    pub fn pixels_mm(&self) -> [f64; 2] {
-        [self.finest_mm.unwrap_or_else(|| self.scale.fine_mm()), COARSE_MM]
+    /// The pixels of the factorial design, mm, the finer one first; one if no finer one is trained.
+    pub fn pixels_mm(&self) -> Vec<f64> {
+        let fine_mm = self.finest_mm.unwrap_or_else(|| self.scale.fine_mm());
+        if fine_mm < COARSE_MM { vec![fine_mm, COARSE_MM] } else { vec![COARSE_MM] }
     }
 
     /// The maps of Table IV that are trained: those whose pixels are no finer than the finest, in the order of the table.
@@ -298,12 +299,13 @@ mod tests {
     #[test]
     fn maps_with_finer_pixels_than_the_finest_are_not_trained() {
         let full = Budget { scale: Scale::Full, ..small() };
-        assert_eq!((full.pixels_mm(), full.table_iv_maps().len()), ([4.0, 20.0], 12));
-        let coarse = Budget { finest_mm: Some(10.0), ..full };
+        assert_eq!((full.pixels_mm(), full.table_iv_maps().len()), (vec![4.0, 20.0], 12));
+        let coarse = Budget { finest_mm: Some(10.0), ..full.clone() };
         let maps: Vec<String> = coarse.table_iv_maps().iter().map(ToString::to_string).collect();
         assert_eq!(maps, ["10x10", "10x30", "10x50", "10x70", "20x20", "20x60"]);
         assert_eq!(coarse.pixels_mm(), [10.0, 20.0]);
         let caption = coarse.caption("virtual");
         assert!(caption.contains("(10 mm)") && !caption.contains("(4 mm)"), "{caption}");
+        assert_eq!(Budget { finest_mm: Some(20.0), ..full }.pixels_mm(), [20.0]);
     }
 }

@@ -59,11 +59,13 @@ impl Condition {
 /// levels of noise; then analyses the variance of each of the four criteria.
 ///
 /// # Errors
-/// Error of the lab if a training or an evaluation fails; `StudyError::Design` if scores do not fit
-/// the design; `StudyError::Figure` if a figure cannot be drawn.
+/// Error of the lab if a training or an evaluation fails; `StudyError::Design` if the budget has one pixel
+/// only, or scores do not fit the design; `StudyError::Figure` if a figure cannot be drawn.
 ///
 /// Source: paper, V-C2 and Fig. 11.
 pub async fn fig_11<L: Lab>(lab: &L, budget: &Budget) -> Result<Sheet, L::Error> {
+    // A budget with one pixel is refused before nets are trained.
+    design(budget)?;
     let transfer = lab.train(&budget.transfer_to_6()).await?;
     let mut conditions = Vec::new();
     for (p, pixel_mm) in budget.pixels_mm().into_iter().enumerate() {
@@ -141,10 +143,10 @@ fn sheet(budget: &Budget, transfer: &ModelId, conditions: &[Condition]) -> Study
 /// The design without samples: three factors, 2 x 2 x 3 levels.
 fn design(budget: &Budget) -> StudyResult<Factorial> {
     let factor = |name: &str, levels: Vec<String>| Factor { name: name.into(), levels };
-    let mm = |values: [f64; 2]| values.map(|mm| format!("{mm} mm")).to_vec();
+    let mm = |values: &[f64]| values.iter().map(|mm| format!("{mm} mm")).collect();
     let factors = vec![
-        factor("pixel", mm(budget.pixels_mm())),
-        factor("diameter", mm(DIAMETERS_MM)),
+        factor("pixel", mm(&budget.pixels_mm())),
+        factor("diameter", mm(&DIAMETERS_MM)),
         factor("noise", LEVELS.map(percent).to_vec()),
     ];
     Ok(Factorial::new(factors)?)
@@ -205,4 +207,22 @@ fn with_published(anova: &Anova, metric: Metric) -> String {
         &["the paper's text", "published", "here"],
         &quoted.map(row).collect::<Vec<_>>(),
     )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::budget::small;
+    use crate::evaluate::anova::AnovaError;
+    use crate::lab::StudyError;
+    use crate::lab::fake::{FakeLab, result};
+
+    #[test]
+    fn a_budget_with_one_pixel_is_refused_before_nets_are_trained() {
+        let lab = FakeLab::default();
+        let budget = Budget { finest_mm: Some(20.0), ..small() };
+        let refused = result(fig_11(&lab, &budget)).unwrap_err();
+        assert!(matches!(refused, StudyError::Design(AnovaError::Levels { .. })), "{refused}");
+        assert!(lab.trained.lock().unwrap().is_empty());
+    }
 }

@@ -33,7 +33,7 @@ pub async fn fig_10<L: Lab>(lab: &L, budget: &Budget) -> Result<Sheet, L::Error>
     let transfer = lab.train(&budget.transfer_to_6()).await?;
     let left = lab.residuals(&transfer).await?;
     let Trial { frame_v, contacts: truth, label } = triple(lab, &budget.dataset(R2S)).await?;
-    let [pixel_mm, _] = budget.pixels_mm();
+    let pixel_mm = budget.pixels_mm()[0];
     let spec = ForceMapSpec { pixel_mm, diameter_mm: DIAMETER_MM, side_mm: SIDE_MM };
     let mut shown = vec![Picture::of_contacts("true", spec, &truth).map_err(StudyError::from)?];
     let mut rows = Vec::new();

@@ -1,10 +1,11 @@
 """The paper's tables and figures from as many trials as the paper has, from nothing.
 
-    python3 tests/figures/paper_scale.py PALPATE FOLDER [--speed 200] [--skin-seed 5] [--epochs 5] [--only STEP,..]
+    python3 tests/figures/paper_scale.py PALPATE FOLDER [--speed 200] [--skin-seed 5] [--epochs 5] [--finest-mm 10] [--only STEP,..]
 
 Presses the paper's Real-Hex (198,000 trials) and 600 trials of Real-Random, simulates 200,000 trials of Sim-Random,
 calibrates the model, and computes Figs. 12, 11, 10 and Tables III and IV: all rows, split by trial as in the paper,
-maps of 10 and 20 mm. `--epochs` is what two processors can train in an hour or two; the paper has 1024. Each step is
+maps of 10 and 20 mm, or of 20 mm only (`--finest-mm 20`; without Fig. 11). `--epochs` is what two processors can train
+in hours; the paper has 1024. Each step is
 done once: the same command continues after it was stopped, a run at its next trial and a training at its last
 checkpoint. The data folder is FOLDER/data, tables and figures are in FOLDER/tables. At the end it prints how long each
 step took; a step that was stopped counts from its last start. PALPATE is the program that was built.
@@ -26,7 +27,7 @@ def steps(palpate, folder, args):
     """Name and command of each step, in order."""
     data, tables = folder / "data", folder / "tables"
     skin = ["--gap", args.gap, "--skin-seed", args.skin_seed, "--speed", args.speed]
-    extent = ["--scale", "medium", "--rows", ROWS, "--epochs", args.epochs, "--finest-mm", 10, "--by-trial"]
+    extent = ["--scale", "medium", "--rows", ROWS, "--epochs", args.epochs, "--finest-mm", args.finest_mm, "--by-trial"]
     shown = [*extent, "--out", tables, "--json"]
     yield "real-hex", [palpate, "run", experiments() / "real-hex.toml", *skin]
     yield "real-random", [palpate, "run", experiments() / "touch-real-random.toml", *skin]
@@ -38,7 +39,8 @@ def steps(palpate, folder, args):
     calibration = answer(added.read_text())["calibration"] if added.exists() else "cal-"
     yield "promoted", [palpate, "model", "promote", calibration]
     for what in ["unseen", "factorial", "noise", "transfer", "maps"]:
-        yield what, [palpate, "evaluate", what, *shown]
+        if what != "factorial" or args.finest_mm != 20:
+            yield what, [palpate, "evaluate", what, *shown]
 
 
 def main():
@@ -50,6 +52,7 @@ def main():
     parser.add_argument("--skin-seed", default=5, type=int, help="seed of its fields")
     parser.add_argument("--speed", default=200, type=int, help="seconds of the rig per second")
     parser.add_argument("--epochs", default=5, type=int, help="epochs of each net")
+    parser.add_argument("--finest-mm", default=10, type=int, help="finest pixel of the maps")
     parser.add_argument("--only", help="steps to do, separated by commas [default: all]")
     args = parser.parse_args()
     folder, kept = args.folder.resolve(), args.folder.resolve() / "seconds.json"

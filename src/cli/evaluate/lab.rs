@@ -76,8 +76,8 @@ pub struct ExtentArgs {
     /// Split real, r2s-transfer and s2s-recon by trial, as the paper did, in place of by configuration.
     #[arg(long)]
     by_trial: bool,
-    /// Finest pixel of the force maps that are trained, 4 or 10 mm, instead of that of the scale.
-    #[arg(long, value_name = "MM", value_parser = ["4", "10"])]
+    /// Finest pixel of the force maps that are trained, mm, instead of that of the scale.
+    #[arg(long, value_name = "MM", value_parser = ["4", "10", "20"])]
     finest_mm: Option<String>,
 }
 
@@ -111,7 +111,7 @@ impl ExtentArgs {
             seed: self.seed,
             transfer: self.transfer.clone(),
             by_trial: self.by_trial,
-            // The parser admits two numbers.
+            // The parser admits numbers only.
             finest_mm: self.finest_mm.as_deref().and_then(|mm| mm.parse().ok()),
         }
     }
