@@ -1,12 +1,13 @@
 //! z is up, and no cell reads a load: checks before another axis moves or homes, and while it does.
-//! Uses: `campaign::{bench::stage, bench::travel, bench::interlock, run::control}`. Never: the plan, storage, a motion.
+//! Uses: `campaign::{bench::stage, bench::travel, bench::interlock, bench::sound, run::control}`. Never: the plan,
+//! storage, a motion.
 
 use futures::future::try_join;
 use tokio::time::Instant;
 
 use crate::campaign::bench::interlock::{self, TripKind};
+use crate::campaign::bench::sound::{require_no_alarm, require_zero};
 use crate::campaign::bench::stage::{AxisName, BEYOND_TRAVEL, Stage};
-use crate::campaign::bench::travel::{require_no_alarm, require_zero};
 use crate::campaign::run::control::Control;
 use crate::campaign::run::halt::Halt;
 use crate::rig::traits::AxisStatus;

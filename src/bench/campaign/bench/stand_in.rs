@@ -142,9 +142,9 @@ impl Axis for StandIn {
 
     async fn identify(&self) -> Result<Found, RigError> {
         self.reply("identify")?;
-        let AxisStatus { homed, alarm, .. } = self.present();
+        let AxisStatus { homed, alarm, ready: enabled, .. } = self.present();
         let device = "stand-in".into();
-        Ok(Found { device, enabled: true, homed, alarm, emergency_stop: false, in_command: None })
+        Ok(Found { device, enabled, homed, alarm, emergency_stop: false, in_command: None })
     }
 
     async fn prepare(&self) -> Result<String, RigError> {

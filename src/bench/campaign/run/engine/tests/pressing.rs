@@ -306,6 +306,11 @@ async fn an_axis_that_leaves_its_place_ends_the_press_before_frames_are_taken_or
     assert_eq!(trip(Phase::Settle, alarm).await, (TripKind::Device, Phase::Measure));
     let restarts = |x: &mut AxisStatus| x.homed = false;
     assert_eq!(trip(Phase::Press, restarts).await, (TripKind::Position, Phase::Settle));
+    // Its motor is off, without an alarm.
+    let is_off = |x: &mut AxisStatus| x.ready = false;
+    assert_eq!(disturbed(Phase::Tare, is_off).await, (TripKind::Device, Phase::Tare, 0));
+    assert_eq!(trip(Phase::Press, is_off).await, (TripKind::Device, Phase::Settle));
+    assert_eq!(trip(Phase::Settle, is_off).await, (TripKind::Device, Phase::Measure));
 }
 
 #[tokio::test]

@@ -162,9 +162,12 @@ async fn no_axis_moves_sideways_unless_z_is_homed_at_rest_and_clear() {
     *axes.z.status.lock() = clear;
     let (stage, control) = parts(&mut engine);
     let target = [Target::of(AxisName::X, 10.0), Target::of(AxisName::Y, 10.0)];
-    // None is started before each is known, nor while one is in alarm.
+    // None is started before each is known, nor while one is in alarm or has its motor off.
     let sound = axes.y.present();
-    for y in [AxisStatus { position: -30.0, ..sound }, AxisStatus { alarm: Some(1), ..sound }] {
+    let off = AxisStatus { ready: false, ..sound };
+    for y in
+        [AxisStatus { position: -30.0, ..sound }, AxisStatus { alarm: Some(1), ..sound }, off]
+    {
         *axes.y.status.lock() = y;
         assert!(stage.travel(control, &target).await.is_err());
         assert_eq!(axes.x.starts.load(Ordering::SeqCst), 0);
@@ -441,6 +444,16 @@ async fn a_drive_in_alarm_that_keeps_its_zero_is_not_homed() {
     assert!(!engine.home().await);
     let trip = engine.control.inbox.status.borrow().rig.trip.clone();
     assert_eq!(trip.map(|trip| trip.kind), Some(TripKind::Device));
+}
+
+#[tokio::test]
+async fn a_drive_whose_motor_is_off_and_that_keeps_its_zero_is_not_homed() {
+    let (axes, mut engine) = engine();
+    axes.radial.status.lock().ready = false;
+    assert!(!engine.home().await);
+    let trip = engine.control.inbox.status.borrow().rig.trip.clone();
+    assert_eq!(trip.map(|trip| trip.kind), Some(TripKind::Device));
+    assert_eq!(lateral_starts(&axes), [0; 3]);
 }
 
 #[tokio::test]
