@@ -24,8 +24,9 @@ use crate::schedule::configuration::Stand;
 const HOMING_S: f64 = 180.0;
 /// Longest time until a drive that was homed before begins to home, process s: it may still report its old zero.
 const HOMING_BEGINS_S: f64 = 0.2;
-/// Longest wait of those who request homing until all axes are homed, wall time.
-pub const HOMING_WAIT: Duration = Duration::from_secs(300);
+/// Longest wait of those who request homing until all axes are homed, wall time: z homes first, then the others, each up to
+/// their limit of 183 s.
+pub const HOMING_WAIT: Duration = Duration::from_secs(400);
 
 /// Target of one axis.
 #[derive(Debug, Clone, Copy)]

@@ -165,8 +165,7 @@ async fn no_axis_moves_sideways_unless_z_is_homed_at_rest_and_clear() {
     // None is started before each is known, nor while one is in alarm or has its motor off.
     let sound = axes.y.present();
     let off = AxisStatus { ready: false, ..sound };
-    for y in
-        [AxisStatus { position: -30.0, ..sound }, AxisStatus { alarm: Some(1), ..sound }, off]
+    for y in [AxisStatus { position: -30.0, ..sound }, AxisStatus { alarm: Some(1), ..sound }, off]
     {
         *axes.y.status.lock() = y;
         assert!(stage.travel(control, &target).await.is_err());
