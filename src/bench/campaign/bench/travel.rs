@@ -24,6 +24,8 @@ use crate::schedule::configuration::Stand;
 const HOMING_S: f64 = 180.0;
 /// Longest time until a drive that was homed before begins to home, process s: it may still report its old zero.
 const HOMING_BEGINS_S: f64 = 0.2;
+/// Longest time for which polls are timed before a run is armed, wall time: its request waits for the answer.
+const TIMED_WITHIN: Duration = Duration::from_secs(3);
 /// Longest wait of those who request homing until all axes are homed, wall time: z homes first, then the others, each up to
 /// their limit of 183 s.
 pub const HOMING_WAIT: Duration = Duration::from_secs(400);
@@ -300,21 +302,28 @@ impl Stage {
     }
 
     /// Reads axes and cells several times at rest, so that the stopping distance uses the measured
-    /// times of the wires before the first press.
+    /// times of the wires before the first press. The effect of a much slower poll before these decays over further ones,
+    /// within 3 s: no other polls are counted at rest.
     ///
     /// # Errors
     /// Halts if a device does not reply.
     pub async fn time_polls(&mut self) -> Result<(), Halt> {
         const ROUNDS: usize = 5;
         let z = [Target::of(AxisName::Z, 0.0)];
-        for _ in 0..ROUNDS {
+        let until = self.clock.now() + TIMED_WITHIN;
+        let (mut rounds, mut slowest_s) = (0, 0.0f64);
+        while rounds < ROUNDS || self.stopping.is_slower_than(slowest_s) && self.clock.now() < until
+        {
             let began_s = self.clock.process_s();
             self.poll_pause().await;
             let (statuses, reading) = self.poll(&z, Polled::AxesAndCells).await?;
             if let Some(reading) = reading {
                 self.publish(&reading, statuses.first().map(|z| z.position));
             }
-            self.stopping.note_poll(self.clock.process_s() - began_s);
+            let took_s = self.clock.process_s() - began_s;
+            self.stopping.note_poll(took_s);
+            slowest_s = slowest_s.max(took_s);
+            rounds += 1;
         }
         Ok(())
     }
