@@ -1,4 +1,4 @@
-//! A homing and a jog outside a run: what the status shows, what an abort ends, and what a motion waits for.
+//! A homing, a jog and a tare outside a run: what the status shows, what an abort ends, and what a motion waits for.
 
 use std::cell::Cell;
 use std::sync::atomic::Ordering;
@@ -9,6 +9,7 @@ use crate::campaign::bench::interlock::TripKind;
 use crate::campaign::bench::rig_state::RigState;
 use crate::campaign::bench::stage::AxisName;
 use crate::campaign::bench::stand_in::StandIn;
+use crate::campaign::bench::tare::{Accept, tare_untouched};
 use crate::campaign::bench::travel::Target;
 use crate::campaign::run::halt::Halt;
 use crate::campaign::safe_end::raise_as_planned;
@@ -142,4 +143,23 @@ async fn a_motion_waits_for_a_drive_that_is_ready_a_moment_after_its_last_motion
     let ((), moved) = futures::join!(follows, travel);
     assert!(moved.is_ok(), "{moved:?}");
     assert_eq!(axes.x.present().position, 100.0);
+}
+
+#[tokio::test]
+async fn an_abort_during_a_tare_waits_for_no_frame() {
+    // While the cells are read, and once only the frames are awaited.
+    for samples in [100, 1] {
+        let (axes, mut engine, handle) = with_handle();
+        *axes.skin.takes.lock() = Duration::from_secs(60);
+        let (stage, control) = parts(&mut engine);
+        let tare = tare_untouched(stage, control, samples, Accept::AnyZero);
+        let abort = async {
+            tokio::time::sleep(Duration::from_millis(300)).await;
+            handle.ask(Request::AbortMotion).await
+        };
+        let both = async { tokio::join!(tare, abort) };
+        let both = tokio::time::timeout(Duration::from_secs(30), both).await;
+        let (tared, aborted) = both.expect("it ends");
+        assert!(matches!(tared, Err(Halt::Asked)) && aborted.is_ok(), "{tared:?}");
+    }
 }
