@@ -26,9 +26,10 @@ impl Stage {
         Ok(z)
     }
 
-    /// Checks before each start of a lateral motion or homing, and during it, that z has stayed up (a drive may lose its
-    /// power, and a brake slip) with its motor on, and that no cell reads a load. `clear_at`: when the older of the last readings of z and
-    /// the cells arrived, from which every wait of the motion counts; none unless one is lateral: then nothing is read.
+    /// Checks before each start of a lateral motion or homing, and during it, that z has stayed up with its motor on (a
+    /// drive may lose its power, and a brake slip), and that no cell reads a load. `clear_at`: when the older of the last
+    /// readings of z and the cells arrived, from which every wait of the motion counts; none unless one is lateral: then
+    /// nothing is read.
     ///
     /// # Errors
     /// A trip if not, if a device does not reply, or if the last readings are too old; a request meanwhile.
@@ -62,7 +63,7 @@ impl Stage {
     }
 
     /// Checks before a lateral motion or homing, and before hands are called to the tips, that z is measured clear of the
-    /// surface with its motor on, and that the cells do not contradict it.
+    /// surface, with its motor on, and that the cells do not contradict it.
     ///
     /// # Errors
     /// A trip if not, or if a device does not reply; a request meanwhile.
