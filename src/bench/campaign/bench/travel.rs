@@ -26,8 +26,8 @@ const HOMING_S: f64 = 180.0;
 const HOMING_BEGINS_S: f64 = 0.2;
 /// Longest time for which polls are timed before a run is armed, wall time: its request waits for the answer.
 const TIMED_WITHIN: Duration = Duration::from_secs(3);
-/// Longest wait of those who request homing until all axes are homed, wall time: z homes first, then the others, each up to
-/// their limit of 183 s.
+/// Longest wait of those who request homing until all axes are homed, wall time: z homes first, then the others, each
+/// within their limit of 183 s.
 pub const HOMING_WAIT: Duration = Duration::from_secs(400);
 
 /// Target of one axis.

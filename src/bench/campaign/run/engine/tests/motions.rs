@@ -130,19 +130,23 @@ async fn an_abort_while_nothing_moves_holds_the_queue_only_if_a_motion_has_just_
 
 #[tokio::test]
 async fn a_motion_waits_for_a_drive_that_is_ready_a_moment_after_its_last_motion() {
-    let (axes, mut engine) = engine();
-    axes.x.status.lock().ready = false;
-    let (stage, control) = parts(&mut engine);
-    let target = [Target::of(AxisName::X, 100.0)];
-    let travel = stage.travel(control, &target);
-    let follows = async {
-        tokio::time::sleep(Duration::from_millis(30)).await;
-        axes.x.status.lock().ready = true;
-    };
-    // In this order: if both are due, the drive is ready before it is read again.
-    let ((), moved) = futures::join!(follows, travel);
-    assert!(moved.is_ok(), "{moved:?}");
-    assert_eq!(axes.x.present().position, 100.0);
+    // Also for z, on which a lateral motion depends.
+    for is_z in [false, true] {
+        let (axes, mut engine) = engine();
+        let late = if is_z { &axes.z } else { &axes.x };
+        late.status.lock().ready = false;
+        let (stage, control) = parts(&mut engine);
+        let target = [Target::of(AxisName::X, 100.0)];
+        let travel = stage.travel(control, &target);
+        let follows = async {
+            tokio::time::sleep(Duration::from_millis(30)).await;
+            late.status.lock().ready = true;
+        };
+        // In this order: if both are due, the drive is ready before it is read again.
+        let ((), moved) = futures::join!(follows, travel);
+        assert!(moved.is_ok(), "{moved:?}");
+        assert_eq!(axes.x.present().position, 100.0);
+    }
 }
 
 #[tokio::test]
