@@ -23,7 +23,8 @@ pub struct AxisStatus {
     pub moving: bool,
     /// Whether homing has been completed since power-up.
     pub homed: bool,
-    /// Whether the drive is ready and powered.
+    /// Whether the drive is ready and powered, with its motor on. At the end of a motion, and while the axis homes, it may
+    /// be neither ready nor moving for a moment.
     pub ready: bool,
     /// Alarm code of the device, if it reports one.
     pub alarm: Option<u32>,

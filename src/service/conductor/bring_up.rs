@@ -3,11 +3,14 @@
 
 use std::time::Duration;
 
+use tokio::time::Instant;
+
 use super::take_over::Unattended;
 use super::{Conductor, ConductorError, ConductorResult};
 use crate::campaign::bench::rig_state::RigState;
 use crate::campaign::bench::travel::HOMING_WAIT;
 use crate::campaign::shown::command::{Refusal, Request};
+use crate::campaign::shown::status::Motion;
 use crate::ids::RunUid;
 use crate::store::{RunKind, RunRow};
 
@@ -37,42 +40,52 @@ impl Conductor {
                 campaign.ask(Request::Home).await?;
             }
         }
+        self.watch_homing(run, before, Instant::now() + HOMING_WAIT).await
+    }
+
+    /// Waits until the rig is homed, and ends the homing if a person comes to the rig. It lasts as long as the homing,
+    /// also after `deadline`.
+    async fn watch_homing(
+        &self,
+        run: &RunRow,
+        before: Unattended,
+        deadline: Instant,
+    ) -> ConductorResult<()> {
+        let campaign = &self.inner.campaign;
         let mut locked = std::pin::pin!(self.locked_meanwhile(run, before));
-        let homed = async {
-            loop {
-                let rig = campaign.status().rig;
-                if !self.is_brought_up(run.uid) || self.is_operated_since_start(run.uid) {
-                    if rig.state == RigState::Disarmed {
-                        // Refused if nothing moves any more.
-                        let _ = campaign.ask(Request::Abort).await;
-                    }
-                    self.require_not_operated(run.uid)?;
-                    return Err(Refusal::State("the run was aborted or held".into()).into());
+        loop {
+            let rig = campaign.status().rig;
+            if !self.is_brought_up(run.uid) || self.is_operated_since_start(run.uid) {
+                if rig.state == RigState::Disarmed {
+                    // Refused if nothing moves any more.
+                    let _ = campaign.ask(Request::Abort).await;
                 }
-                match rig.state {
-                    RigState::Homed => return Ok::<_, ConductorError>(()),
-                    RigState::Tripped => {
-                        let why = rig.trip.map_or_else(String::new, |t| t.detail);
-                        return Err(Refusal::State(format!("the rig tripped: {why}")).into());
-                    }
-                    RigState::Disconnected | RigState::Disarmed | RigState::Armed => {
-                        let taken = tokio::time::timeout(HOMING_POLL, &mut locked).await;
-                        if let Ok(refused) = taken {
-                            // Refused if nothing moves any more. A run that has begun meanwhile continues.
-                            if campaign.status().run.is_none() {
-                                let _ = campaign.ask(Request::Abort).await;
-                            }
-                            return Err(refused);
+                self.require_not_operated(run.uid)?;
+                return Err(Refusal::State("the run was aborted or held".into()).into());
+            }
+            match rig.state {
+                RigState::Homed => return Ok(()),
+                RigState::Tripped => {
+                    let why = rig.trip.map_or_else(String::new, |t| t.detail);
+                    return Err(Refusal::State(format!("the rig tripped: {why}")).into());
+                }
+                RigState::Disconnected | RigState::Disarmed | RigState::Armed => {
+                    let taken = tokio::time::timeout(HOMING_POLL, &mut locked).await;
+                    if let Ok(refused) = taken {
+                        // Refused if nothing moves any more. A run that has begun meanwhile continues.
+                        if campaign.status().run.is_none() {
+                            let _ = campaign.ask(Request::Abort).await;
                         }
+                        return Err(refused);
                     }
                 }
             }
-        };
-        tokio::time::timeout(HOMING_WAIT, homed).await.unwrap_or_else(|_| {
-            let limit_s = HOMING_WAIT.as_secs();
-            let words = format!("the rig was not homed within {limit_s} s: check its axes");
-            Err(Refusal::State(words).into())
-        })
+            if Instant::now() > deadline && rig.motion != Some(Motion::Homing) {
+                let limit_s = HOMING_WAIT.as_secs();
+                let words = format!("the rig was not homed within {limit_s} s: check its axes");
+                return Err(Refusal::State(words).into());
+            }
+        }
     }
 
     /// Waits until a person has taken an operator lock that refuses this run, which then must be started again. A store
@@ -100,6 +113,8 @@ impl Conductor {
 
 #[cfg(test)]
 mod tests {
+    use jiff::Timestamp;
+
     use super::super::AutoResume;
     use super::super::stand_in::{conductor, earlier, granted, unasked};
     use super::*;
@@ -141,6 +156,29 @@ mod tests {
         assert!(words.starts_with("bob has taken the operator lock: hands in the rig"), "{words}");
         assert_eq!(conductor.present(&run).await.unwrap().state, StoredState::Interrupted);
         assert!(conductor.why_dropped(next.uid).is_some());
+    }
+
+    #[tokio::test]
+    async fn the_lock_is_watched_for_until_a_long_homing_ends() {
+        let (conductor, mut inbox, _folder) = conductor().await;
+        let [run, _next] = earlier(&conductor).await;
+        let before = Unattended { since: Some(Timestamp::UNIX_EPOCH), signs: 0 };
+        *conductor.inner.brought_up.lock() = Some(run.uid);
+        let deadline = Instant::now();
+        // It has ended, and the rig is not homed.
+        inbox.status.send_modify(|status| status.rig.state = RigState::Disarmed);
+        let late = conductor.watch_homing(&run, before, deadline).await.unwrap_err().to_string();
+        assert!(late.starts_with("the rig was not homed within "), "{late}");
+        inbox.status.send_modify(|status| status.rig.motion = Some(Motion::Homing));
+        let locks = async {
+            tokio::time::sleep(3 * HOMING_POLL).await;
+            conductor.inner.store.set_lock("bob", "hands in the rig").await.unwrap();
+            granted(&mut inbox, |request| matches!(request, Request::Abort)).await;
+        };
+        let both = async { tokio::join!(conductor.watch_homing(&run, before, deadline), locks) };
+        let (watched, ()) = tokio::time::timeout(HOMING_WAIT / 2, both).await.expect("it ends");
+        let words = watched.unwrap_err().to_string();
+        assert!(words.starts_with("bob has taken the operator lock: hands in the rig"), "{words}");
     }
 
     #[tokio::test]

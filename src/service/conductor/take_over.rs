@@ -28,7 +28,7 @@ pub(super) struct Unattended {
     /// The last time at which the run did something; none if it was not driven.
     pub since: Option<Timestamp>,
     /// Signs of a person before it.
-    signs: u64,
+    pub(super) signs: u64,
 }
 
 impl Conductor {

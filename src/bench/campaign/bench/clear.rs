@@ -1,12 +1,13 @@
 //! z is up, and no cell reads a load: checks before another axis moves or homes, and while it does.
-//! Uses: `campaign::{bench::stage, bench::travel, bench::interlock, run::control}`. Never: the plan, storage, a motion.
+//! Uses: `campaign::{bench::stage, bench::travel, bench::interlock, bench::sound, run::control}`. Never: the plan,
+//! storage, a motion.
 
 use futures::future::try_join;
 use tokio::time::Instant;
 
 use crate::campaign::bench::interlock::{self, TripKind};
+use crate::campaign::bench::sound::{require_no_alarm, require_on, require_zero};
 use crate::campaign::bench::stage::{AxisName, BEYOND_TRAVEL, Stage};
-use crate::campaign::bench::travel::{require_no_alarm, require_zero};
 use crate::campaign::run::control::Control;
 use crate::campaign::run::halt::Halt;
 use crate::rig::traits::AxisStatus;
@@ -25,9 +26,10 @@ impl Stage {
         Ok(z)
     }
 
-    /// Checks before each start of a lateral motion or homing, and during it, that z has stayed up (a drive may lose its
-    /// power, and a brake slip), and that no cell reads a load. `clear_at`: when the older of the last readings of z and
-    /// the cells arrived, from which every wait of the motion counts; none unless one is lateral: then nothing is read.
+    /// Checks before each start of a lateral motion or homing, and during it, that z has stayed up with its motor on (a
+    /// drive may lose its power, and a brake slip), and that no cell reads a load. `clear_at`: when the older of the last
+    /// readings of z and the cells arrived, from which every wait of the motion counts; none unless one is lateral: then
+    /// nothing is read.
     ///
     /// # Errors
     /// A trip if not, if a device does not reply, or if the last readings are too old; a request meanwhile.
@@ -39,6 +41,7 @@ impl Stage {
         let Some(last) = clear_at else { return Ok(()) };
         let is_up = async {
             let (z, clear) = (self.known_z().await?, self.clear_z_mm());
+            require_on(self.bench.z.as_ref(), &z)?;
             let at = z.position;
             if at > clear + self.driven(AxisName::Z).tolerance + SINKS_MM {
                 let detail =
@@ -60,7 +63,7 @@ impl Stage {
     }
 
     /// Checks before a lateral motion or homing, and before hands are called to the tips, that z is measured clear of the
-    /// surface, and that the cells do not contradict it.
+    /// surface, with its motor on, and that the cells do not contradict it.
     ///
     /// # Errors
     /// A trip if not, or if a device does not reply; a request meanwhile.
@@ -85,9 +88,11 @@ impl Stage {
                     format!("lateral motion refused: z at {at:.3} mm, clear at {clear:.3}");
                 return Err(Halt::trip(TripKind::Position, detail));
             }
-            match interlock::check_unloaded(cells, self.tips, &reading?, &self.tare_v) {
+            let unloaded = interlock::check_unloaded(cells, self.tips, &reading?, &self.tare_v);
+            // It may report that it is ready a moment after the raise.
+            match unloaded.map_err(Halt::from).and(require_on(self.bench.z.as_ref(), &z)) {
                 Ok(()) => return Ok(()),
-                Err(trip) if asked > deadline => return Err(trip.into()),
+                Err(halt) if asked > deadline => return Err(halt),
                 Err(_) => self.poll_pause().await,
             }
             control.attend()?;

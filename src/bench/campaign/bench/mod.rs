@@ -6,6 +6,7 @@
 pub mod stage;
 pub mod travel;
 mod clear;
+mod sound;
 mod placed;
 pub mod descent;
 pub mod interlock;

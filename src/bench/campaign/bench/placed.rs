@@ -1,14 +1,19 @@
 //! Where the axes are: read, and compared with their targets before z presses and while it holds a load.
-//! Uses: `campaign::{bench::stage, bench::travel, bench::interlock, run::control}`. Never: the plan, storage, a motion.
+//! Uses: `campaign::{bench::stage, bench::stopping, bench::interlock, bench::sound, run::control}`. Never: the plan,
+//! storage, a motion.
 //!
 //! Not while z presses: on a wire that the axes share, each poll would be longer, and each press slower. Until they are
 //! read the limits of the forces hold.
 
 use crate::campaign::bench::interlock::{self, TripKind};
+use crate::campaign::bench::sound::{
+    awaits_ready, ready_by, require_no_alarm, require_on, require_zero,
+};
 use crate::campaign::bench::stage::Stage;
-use crate::campaign::bench::travel::{require_no_alarm, require_zero};
+use crate::campaign::bench::stopping::POLL_S;
 use crate::campaign::run::control::Control;
 use crate::campaign::run::halt::Halt;
+use crate::clock::Clock;
 use crate::record::Pose;
 use crate::rig::config::RigConfig;
 use crate::rig::error::RigError;
@@ -27,9 +32,10 @@ impl Stage {
     /// compared.
     ///
     /// # Errors
-    /// Trips if one is not, or if an axis has an alarm or no zero; halts if a device does not reply, or on a request.
+    /// Trips if one is not, or if an axis has an alarm, no zero or its motor off; halts if a device does not reply, or on
+    /// a request.
     pub async fn require_over(&self, control: &mut Control, over: &Pose) -> Result<(), Halt> {
-        let placed = reached(&self.bench, &self.config, over, None);
+        let placed = reached(&self.bench, &self.config, &self.clock, over, None);
         control.attending(placed).await?.map(drop)
     }
 
@@ -37,15 +43,15 @@ impl Stage {
     /// meanwhile.
     ///
     /// # Errors
-    /// Trips if an axis is off its target, see [`interlock::off_target`], or has an alarm or no zero; as
+    /// Trips if an axis is off its target, see [`interlock::off_target`], or has an alarm, no zero or its motor off; as
     /// `watch_while`; halts if a device does not reply.
     pub async fn require_reached(
         &mut self,
         control: &mut Control,
         target: &Pose,
     ) -> Result<Pose, Halt> {
-        let (bench, config) = (self.bench.clone(), self.config.clone());
-        let reads = reached(&bench, &config, target, Some(target.z_mm));
+        let (bench, config, clock) = (self.bench.clone(), self.config.clone(), self.clock.clone());
+        let reads = reached(&bench, &config, &clock, target, Some(target.z_mm));
         self.watch_while(control, reads).await?
     }
 }
@@ -55,10 +61,11 @@ impl Stage {
 async fn reached(
     bench: &Bench,
     config: &RigConfig,
+    clock: &Clock,
     target: &Pose,
     z_mm: Option<f64>,
 ) -> Result<Pose, Halt> {
-    let first = checked(bench, config, &read(bench).await?, target, z_mm);
+    let first = checked(bench, config, &read_ready(bench, clock).await?, target, z_mm);
     if first.is_ok() {
         return first;
     }
@@ -75,12 +82,25 @@ fn checked(
     for (axis, status) in [&bench.x, &bench.y, &bench.z, &bench.radial].into_iter().zip(axes) {
         require_no_alarm(axis.as_ref(), status)?;
         require_zero(axis.as_ref(), status)?;
+        require_on(axis.as_ref(), status)?;
     }
     let pose = pose_of(config, axes);
     let target = Pose { z_mm: z_mm.unwrap_or(pose.z_mm), ..*target };
     match interlock::off_target(config, &pose, &target) {
         Some(words) => Err(Halt::trip(TripKind::Position, words)),
         None => Ok(pose),
+    }
+}
+
+/// As [`read`]; again, as long as [`awaits_ready`] holds for a moment: z may have arrived just now.
+async fn read_ready(bench: &Bench, clock: &Clock) -> Result<[AxisStatus; 4], RigError> {
+    let deadline = ready_by(clock);
+    loop {
+        let axes = read(bench).await?;
+        if !awaits_ready(&axes) || clock.now() >= deadline {
+            return Ok(axes);
+        }
+        clock.sleep(POLL_S).await;
     }
 }
 

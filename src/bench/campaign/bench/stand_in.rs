@@ -142,9 +142,9 @@ impl Axis for StandIn {
 
     async fn identify(&self) -> Result<Found, RigError> {
         self.reply("identify")?;
-        let AxisStatus { homed, alarm, .. } = self.present();
+        let AxisStatus { homed, alarm, ready: enabled, .. } = self.present();
         let device = "stand-in".into();
-        Ok(Found { device, enabled: true, homed, alarm, emergency_stop: false, in_command: None })
+        Ok(Found { device, enabled, homed, alarm, emergency_stop: false, in_command: None })
     }
 
     async fn prepare(&self) -> Result<String, RigError> {
@@ -221,7 +221,11 @@ impl LoadCells for Cells {
 }
 
 /// A skin that nothing touches; it sends frames when they are taken.
-struct Skin;
+#[derive(Debug, Default)]
+pub struct Skin {
+    /// Time until they arrive, wall time.
+    pub takes: Mutex<Duration>,
+}
 
 #[async_trait]
 impl SkinReader for Skin {
@@ -238,6 +242,7 @@ impl SkinReader for Skin {
     }
 
     async fn take(&self, _: Instant, count: usize) -> Result<Vec<Arc<Frame>>, RigError> {
+        wait(&self.takes).await;
         let frame = |sequence| {
             let (device_time_us, volts_per_count, counts) = (0, 1e-3, vec![0; 784]);
             let received = Instant::now();
@@ -260,6 +265,8 @@ pub struct StandIns {
     pub radial: Arc<StandIn>,
     /// Load cells, at first without a load.
     pub cells: Arc<Cells>,
+    /// The skin.
+    pub skin: Arc<Skin>,
     /// Where the records go.
     pub journal: Arc<Forgetful>,
 }
@@ -275,7 +282,7 @@ impl Default for StandIns {
             takes: Mutex::default(),
             surface: Mutex::default(),
         });
-        Self { x, y, z, radial, cells, journal: Arc::default() }
+        Self { x, y, z, radial, cells, skin: Arc::default(), journal: Arc::default() }
     }
 }
 
@@ -288,7 +295,7 @@ impl StandIns {
             z: self.z.clone(),
             radial: self.radial.clone(),
             cells: self.cells.clone(),
-            skin: Arc::new(Skin),
+            skin: self.skin.clone(),
         }
     }
 

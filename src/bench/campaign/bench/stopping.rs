@@ -16,6 +16,8 @@ pub const POLL_S: f64 = 0.010;
 const LATE_WALL_S: f64 = 0.005;
 /// Factor by which the slowest poll decays with each further poll.
 const POLL_MEMORY: f64 = 0.99;
+/// Multiple of the slowest of the newest polls above which the slowest poll is one of an earlier time.
+const EARLIER_POLL: f64 = 2.0;
 /// Slowest usable press, mm/s.
 const SLOWEST_MM_S: f64 = 0.02;
 
@@ -69,6 +71,12 @@ impl Stopping {
     /// a few hundred rounds.
     pub fn note_poll(&mut self, took_s: f64) {
         self.slowest_poll_s = took_s.max(self.slowest_poll_s * POLL_MEMORY);
+    }
+
+    /// Whether the slowest poll is much slower than the newest ones, the slowest of which took this time, process s: then
+    /// it was before them.
+    pub fn is_slower_than(&self, newest_s: f64) -> bool {
+        self.slowest_poll_s > EARLIER_POLL * newest_s.max(POLL_S)
     }
 
     /// Records the time from a sample to the acknowledgement of the stop that followed; none is
@@ -140,10 +148,11 @@ impl Stopping {
                 _ => ("force_sum_margin_n", limits.sum_margin_n()),
             };
             return Err(format!(
-                "limits.{key} = {margin_n}: with {tips} tips, {:.0} ms from a force to its stop and \
-                 {} N/mm, a press must not exceed {speed:.4} mm/s; the slowest press \
-                 of axes.z is {slowest:.4}",
+                "limits.{key} = {margin_n}: with {tips} tips, {:.0} ms from a force to its stop \
+                 (slowest poll of the wires {:.0} ms) and {} N/mm, a press must not exceed \
+                 {speed:.4} mm/s; the slowest press of axes.z is {slowest:.4}",
                 blind_s * 1e3,
+                self.slowest_poll_s.max(POLL_S) * 1e3,
                 limits.stiffness_n_per_mm
             ));
         }
@@ -248,6 +257,22 @@ mod tests {
         rig.limits.force_sum_margin_n = Some(20.0);
         let refused = stopping.distance(&rig, 6, 0.0).unwrap_err();
         assert!(refused.starts_with("limits.force_sum_margin_n = 20: with 6 tips"), "{refused}");
+    }
+
+    #[test]
+    fn a_slow_poll_decays_with_the_polls_after_it_and_never_below_the_slowest_of_them() {
+        let (rig, mut stopping) = (rig(), Stopping::default());
+        stopping.note_poll(100.0);
+        for polls in 0.. {
+            assert!(polls < 1000, "it stays slow");
+            if !stopping.is_slower_than(0.2) {
+                break;
+            }
+            stopping.note_poll(if polls % 2 == 0 { 0.2 } else { 0.02 });
+        }
+        stopping.distance(&rig, 6, 0.0).unwrap();
+        let polls_s = (stopping.blind_s(&rig) - Stopping::default().blind_s(&rig)) / 2.0 + POLL_S;
+        assert!((0.2..=0.4).contains(&polls_s), "{polls_s} s");
     }
 
     #[test]

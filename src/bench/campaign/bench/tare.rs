@@ -1,6 +1,8 @@
 //! Zeros of the cells and of the skin, measured in the air before each configuration, with limits.
 //! Uses: `campaign::bench::stage`. Never: storage.
 
+use futures::future::{Either, select};
+
 use crate::campaign::bench::evidence::SkinWatch;
 use crate::campaign::bench::interlock::{self, FOREIGN_N, TripKind};
 use crate::campaign::bench::stage::Stage;
@@ -28,7 +30,7 @@ pub enum Accept {
 /// cross-check the other. Returns arms and their zeros, V.
 ///
 /// # Errors
-/// As [`tare`]; also if the frames of the skin do not arrive.
+/// As [`tare`]; also if the frames of the skin do not arrive, or on a request meanwhile.
 pub async fn tare_untouched(
     stage: &mut Stage,
     control: &mut Control,
@@ -36,9 +38,20 @@ pub async fn tare_untouched(
     accept: Accept,
 ) -> Result<Vec<(u8, f64)>, Halt> {
     let skin = stage.bench.skin.clone();
-    let untouched = skin.take(stage.clock.now(), UNTOUCHED_FRAMES);
-    let (zeros, frames) = futures::join!(tare(stage, control, samples, accept), untouched);
-    let zeros = zeros?;
+    let mut untouched = skin.take(stage.clock.now(), UNTOUCHED_FRAMES);
+    // A tare that ends early, and a request after it, wait for no frame.
+    let (zeros, early) = {
+        let tared = std::pin::pin!(tare(stage, control, samples, accept));
+        let first = select(tared, &mut untouched).await;
+        match first {
+            Either::Left((zeros, _)) => (zeros?, None),
+            Either::Right((frames, tared)) => (tared.await?, Some(frames)),
+        }
+    };
+    let frames = match early {
+        Some(frames) => frames,
+        None => control.attending(untouched).await?,
+    };
     let frames = frames.map_err(|e| stage.no_frames(e))?;
     stage.skin = SkinWatch::untouched(&frames);
     if let Some(watch) = &stage.skin {

@@ -1,5 +1,5 @@
 //! Motions of the stage, each supervised to its end: positions, alarms, forces, requests.
-//! Uses: `schedule::configuration`, `campaign::{bench::stage, run::control, bench::interlock}`.
+//! Uses: `schedule::configuration`, `campaign::{bench::stage, run::control, bench::interlock, bench::sound}`.
 //! Never: the plan, storage, a wait for the store.
 //!
 //! No lateral or radial motion unless z is measured clear of the surface (`clear`).
@@ -10,19 +10,25 @@ use futures::future::try_join_all;
 use tokio::time::Instant;
 
 use crate::campaign::bench::interlock::{self, TripKind};
+use crate::campaign::bench::sound::{
+    awaits_ready, ready_by, require_no_alarm, require_on, require_zero,
+};
 use crate::campaign::bench::stage::{AxisName, BEYOND_TRAVEL, Driven, GRACE, Stage};
 use crate::campaign::run::control::Control;
 use crate::campaign::run::halt::Halt;
 use crate::record::{ARMS, Pose};
-use crate::rig::traits::{Axis, AxisStatus, CellVolts};
+use crate::rig::traits::{AxisStatus, CellVolts};
 use crate::schedule::configuration::Stand;
 
 /// Longest homing of one axis, process s.
 const HOMING_S: f64 = 180.0;
 /// Longest time until a drive that was homed before begins to home, process s: it may still report its old zero.
 const HOMING_BEGINS_S: f64 = 0.2;
-/// Longest wait of those who request homing until all axes are homed, wall time.
-pub const HOMING_WAIT: Duration = Duration::from_secs(300);
+/// Longest time for which polls are timed before a run is armed, wall time: its request waits for the answer.
+const TIMED_WITHIN: Duration = Duration::from_secs(3);
+/// Longest wait of those who request homing until all axes are homed, wall time: z homes first, then the others, each
+/// within their limit of 183 s.
+pub const HOMING_WAIT: Duration = Duration::from_secs(400);
 
 /// Target of one axis.
 #[derive(Debug, Clone, Copy)]
@@ -195,18 +201,32 @@ impl Stage {
         Ok(!status.moving && (status.position - target.position).abs() <= driven.tolerance)
     }
 
-    /// Checks that each axis is homed, within its travel and without an alarm, which the release of a stop could clear.
-    /// Returns the longest duration of the motions, process s.
+    /// Checks that each axis is homed, within its travel, with its motor on and without an alarm, which the release of a
+    /// stop could clear. Returns the longest duration of the motions, process s.
     async fn require_ready(&self, targets: &[Target]) -> Result<f64, Halt> {
-        let (statuses, _) = self.poll(targets, Polled::Axes).await?;
+        let names: Vec<AxisName> = targets.iter().map(|t| t.axis).collect();
+        let statuses = self.read_ready(&names).await?;
         let mut longest_s = 0.0f64;
         for (target, status) in targets.iter().zip(&statuses) {
             let driven = self.driven(target.axis);
             require_zero(driven.axis, status)?;
             self.check_axis(target, status)?;
+            require_on(driven.axis, status)?;
             longest_s = longest_s.max(predicted_s(&driven, target, status.position));
         }
         Ok(longest_s)
+    }
+
+    /// Reads axes before they move or home; again, as long as [`awaits_ready`] holds for a moment.
+    async fn read_ready(&self, names: &[AxisName]) -> Result<Vec<AxisStatus>, Halt> {
+        let deadline = ready_by(&self.clock);
+        loop {
+            let read = try_join_all(names.iter().map(|&n| self.driven(n).axis.status())).await?;
+            if !awaits_ready(&read) || self.clock.now() >= deadline {
+                return Ok(read);
+            }
+            self.poll_pause().await;
+        }
     }
 
     /// Checks that an axis is within its travel, or beyond it by no more than this, in its unit.
@@ -282,21 +302,28 @@ impl Stage {
     }
 
     /// Reads axes and cells several times at rest, so that the stopping distance uses the measured
-    /// times of the wires before the first press.
+    /// times of the wires before the first press. The effect of a much slower poll before these decays over further ones,
+    /// within 3 s: no other polls are counted at rest.
     ///
     /// # Errors
     /// Halts if a device does not reply.
     pub async fn time_polls(&mut self) -> Result<(), Halt> {
         const ROUNDS: usize = 5;
         let z = [Target::of(AxisName::Z, 0.0)];
-        for _ in 0..ROUNDS {
+        let until = self.clock.now() + TIMED_WITHIN;
+        let (mut rounds, mut slowest_s) = (0, 0.0f64);
+        while rounds < ROUNDS || self.stopping.is_slower_than(slowest_s) && self.clock.now() < until
+        {
             let began_s = self.clock.process_s();
             self.poll_pause().await;
             let (statuses, reading) = self.poll(&z, Polled::AxesAndCells).await?;
             if let Some(reading) = reading {
                 self.publish(&reading, statuses.first().map(|z| z.position));
             }
-            self.stopping.note_poll(self.clock.process_s() - began_s);
+            let took_s = self.clock.process_s() - began_s;
+            self.stopping.note_poll(took_s);
+            slowest_s = slowest_s.max(took_s);
+            rounds += 1;
         }
         Ok(())
     }
@@ -370,7 +397,7 @@ impl Stage {
             true => control.attending(self.cells_in_time()).await?,
             false => None,
         };
-        control.attending(self.read_homing(names)).await??;
+        control.attending(self.require_on_to_home(names)).await??;
         let mut clear_at = (!homes_z).then(|| self.clock.now());
         for &name in names {
             self.require_still_clear(control, &mut clear_at).await?;
@@ -413,8 +440,19 @@ impl Stage {
         tokio::time::timeout(limit, self.bench.cells.read()).await.ok()?.ok()
     }
 
-    /// Reads axes before they home, when the release of a stop could clear an alarm, and while they do: a drive in
-    /// alarm is at rest, and may keep its earlier zero.
+    /// Checks that axes have their motors on and no alarm before they home: the release of a stop could clear an alarm,
+    /// and a drive that carries out no homing may keep its earlier zero, as if it were homed.
+    async fn require_on_to_home(&self, names: &[AxisName]) -> Result<(), Halt> {
+        let read = self.read_ready(names).await?;
+        for (&name, status) in names.iter().zip(&read) {
+            let axis = self.driven(name).axis;
+            require_no_alarm(axis, status)?;
+            require_on(axis, status)?;
+        }
+        Ok(())
+    }
+
+    /// Reads axes while they home: a drive in alarm is at rest, and may keep its earlier zero.
     async fn read_homing(&self, names: &[AxisName]) -> Result<Vec<AxisStatus>, Halt> {
         let read = try_join_all(names.iter().map(|&n| self.driven(n).axis.status())).await?;
         for (&name, status) in names.iter().zip(&read) {
@@ -429,19 +467,4 @@ pub(in crate::campaign) fn predicted_s(driven: &Driven<'_>, target: &Target, fro
     let (speed, step) = (target.speed.unwrap_or(driven.speed), driven.axis.slowest());
     let rounded = (speed - step).max(step);
     (target.position - from).abs() / rounded + 2.0 * speed / driven.acceleration
-}
-
-pub(super) fn require_no_alarm(axis: &dyn Axis, status: &AxisStatus) -> Result<(), Halt> {
-    let Some(alarm) = status.alarm else { return Ok(()) };
-    Err(Halt::trip(TripKind::Device, format!("{} reports alarm {alarm:#x}", axis.name())))
-}
-
-/// A drive that restarted may have lost its zero: its positions, and the targets of its motions, would be wrong.
-pub(super) fn require_zero(axis: &dyn Axis, status: &AxisStatus) -> Result<(), Halt> {
-    if status.homed {
-        return Ok(());
-    }
-    let detail =
-        format!("{} is not homed any more: it has restarted, or lost its zero", axis.name());
-    Err(Halt::trip(TripKind::Position, detail))
 }

@@ -373,7 +373,7 @@ impl Engine {
         let entered = self.entered_tips();
         self.guarded(Motion::Jog, |stage, control| {
             Box::pin(async move {
-                stage.assume_tips(entered).await?;
+                control.attending(stage.assume_tips(entered)).await??;
                 if target.axis != AxisName::Z {
                     // The clearance may have grown since: other tips, or an unknown surface.
                     raise_as_planned(control, stage).await?;
@@ -446,7 +446,7 @@ impl Engine {
         let stage = connection.stage.as_mut().ok_or_else(no_stage)?;
         let control = &mut self.control;
         let tared = async {
-            stage.assume_tips(entered).await?;
+            control.attending(stage.assume_tips(entered)).await??;
             tare::tare(stage, control, TARE_SAMPLES, tare::Accept::AnyZero).await
         };
         let Err(halt) = tared.await else { return Ok(()) };

@@ -305,6 +305,7 @@ async fn switched_off(bench: &Bench, was_homed: &[bool; AXES]) -> Result<Option<
             None if found.emergency_stop => "is stopped by its own stop".into(),
             None if *was_homed && !found.homed => "is not homed any more".into(),
             None if found.in_command == Some(false) => "is no longer under remote control".into(),
+            None if !found.enabled => "has its motor off".into(),
             None => continue,
         };
         let name = axis.name();

@@ -413,7 +413,7 @@ impl Engine {
         let Some(stage) = connection.stage.as_mut() else {
             return Err(Halt::trip(TripKind::Device, "the rig has no stage"));
         };
-        let volts = stage.bench.cells.read().await?.volts;
+        let volts = self.control.attending(stage.bench.cells.read()).await??.volts;
         let live = interlock::live_cells(&stage.config.cells, &volts, tips);
         let goes_on = !progress.stored.is_empty();
         let said = self.mounting.as_ref().is_some_and(|(m, now)| {

@@ -1,5 +1,5 @@
-//! What ends an automatic resume before and while the rig homes for it: a person who operates the rig or takes the
-//! lock; and a pause that comes too late.
+//! What ends an automatic resume before and while the rig homes for it: a person who operates the rig, takes the lock or
+//! switches a drive off; and a pause that comes too late.
 
 use std::sync::atomic::Ordering;
 use std::time::Duration;
@@ -152,4 +152,31 @@ async fn a_run_states_why_the_rig_could_not_be_armed_for_its_automatic_resume() 
     let (next, is_stated) = both.expect("it is stated");
     assert!(matches!(next, Next::Leave) && is_stated);
     assert_eq!(engine.control.rig(), RigState::Homed);
+}
+
+#[tokio::test]
+async fn a_run_does_not_resume_by_itself_if_a_drive_has_its_motor_off() {
+    let (mut job, (axes, mut engine, handle)) = (job(), with_handle());
+    job.plan.policy.auto_resume_after_s = 0.0;
+    trip(&mut engine, &job);
+    // It has kept its zero, and reports no alarm.
+    axes.x.status.lock().ready = false;
+    let mut status = handle.watch_status();
+    let states = async move {
+        // Without a handle there is no request to wait for.
+        let _handle = handle;
+        let is_stated = |now: &Status| {
+            let words = now.run.as_ref().and_then(|run| run.waiting_for.as_deref());
+            words.is_some_and(|words| words.starts_with("x has its motor off"))
+        };
+        status.wait_for(is_stated).await.is_ok()
+    };
+    let (mut attempts, mut resumes) = (Attempts::default(), 1);
+    let waits = engine.wait(&job, &mut attempts, Some(&mut resumes));
+    let both = async { tokio::join!(waits, states) };
+    let both = tokio::time::timeout(Duration::from_secs(60), both).await;
+    let (next, is_stated) = both.expect("it is stated");
+    assert!(matches!(next, Next::Leave) && is_stated);
+    assert_eq!(engine.control.rig(), RigState::Tripped);
+    assert_eq!(axes.z.starts.load(Ordering::SeqCst), 0);
 }

@@ -1,13 +1,16 @@
-//! A homing and a jog outside a run: what the status shows, and what an abort ends.
+//! A homing, a jog and a tare outside a run: what the status shows, what an abort ends, and what a motion waits for.
 
 use std::cell::Cell;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 
-use super::{answered, signs, suspensions, with_handle};
+use super::{answered, engine, parts, signs, suspensions, with_handle};
 use crate::campaign::bench::interlock::TripKind;
 use crate::campaign::bench::rig_state::RigState;
+use crate::campaign::bench::stage::AxisName;
 use crate::campaign::bench::stand_in::StandIn;
+use crate::campaign::bench::tare::{Accept, tare_untouched};
+use crate::campaign::bench::travel::Target;
 use crate::campaign::run::halt::Halt;
 use crate::campaign::safe_end::raise_as_planned;
 use crate::campaign::shown::command::{Refusal, Request};
@@ -123,4 +126,44 @@ async fn an_abort_while_nothing_moves_holds_the_queue_only_if_a_motion_has_just_
     let jog = handle.ask(Request::Jog { axis: "x".into(), to_mm: 100.0 });
     let words = "jog is not possible within 5 s of an abort".to_owned();
     assert_eq!(answered(&mut engine, jog).await, Err(Refusal::Busy(words)));
+}
+
+#[tokio::test]
+async fn a_motion_waits_for_a_drive_that_is_ready_a_moment_after_its_last_motion() {
+    // Also for z, on which a lateral motion depends.
+    for is_z in [false, true] {
+        let (axes, mut engine) = engine();
+        let late = if is_z { &axes.z } else { &axes.x };
+        late.status.lock().ready = false;
+        let (stage, control) = parts(&mut engine);
+        let target = [Target::of(AxisName::X, 100.0)];
+        let travel = stage.travel(control, &target);
+        let follows = async {
+            tokio::time::sleep(Duration::from_millis(30)).await;
+            late.status.lock().ready = true;
+        };
+        // In this order: if both are due, the drive is ready before it is read again.
+        let ((), moved) = futures::join!(follows, travel);
+        assert!(moved.is_ok(), "{moved:?}");
+        assert_eq!(axes.x.present().position, 100.0);
+    }
+}
+
+#[tokio::test]
+async fn an_abort_during_a_tare_waits_for_no_frame() {
+    // While the cells are read, and once only the frames are awaited.
+    for samples in [100, 1] {
+        let (axes, mut engine, handle) = with_handle();
+        *axes.skin.takes.lock() = Duration::from_secs(60);
+        let (stage, control) = parts(&mut engine);
+        let tare = tare_untouched(stage, control, samples, Accept::AnyZero);
+        let abort = async {
+            tokio::time::sleep(Duration::from_millis(300)).await;
+            handle.ask(Request::AbortMotion).await
+        };
+        let both = async { tokio::join!(tare, abort) };
+        let both = tokio::time::timeout(Duration::from_secs(30), both).await;
+        let (tared, aborted) = both.expect("it ends");
+        assert!(matches!(tared, Err(Halt::Asked)) && aborted.is_ok(), "{tared:?}");
+    }
 }

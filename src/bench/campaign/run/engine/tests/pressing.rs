@@ -4,11 +4,13 @@ use std::sync::atomic::Ordering;
 use std::time::Duration;
 
 use parking_lot::Mutex;
+use tokio::sync::oneshot;
 
 use super::super::Engine;
 use super::{begin, engine, job, parts, surface, with_handle};
 use crate::campaign::bench::descent::Descent;
 use crate::campaign::bench::interlock::TripKind;
+use crate::campaign::bench::rig_state::RigEvent;
 use crate::campaign::bench::stage::{AxisName, Stage};
 use crate::campaign::bench::stand_in::StandIns;
 use crate::campaign::bench::touch_off;
@@ -88,6 +90,16 @@ async fn a_press_is_slower_once_the_wires_are_although_its_speed_was_chosen_befo
     stage.press_until(control, deeper, |_| false).await.unwrap();
     let slower_mm_s = *axes.z.speed.lock();
     assert!(slower_mm_s < 0.5, "{slower_mm_s}");
+}
+
+#[tokio::test]
+async fn a_slow_poll_that_does_not_recur_keeps_no_run_from_being_armed() {
+    let (job, (_, mut engine)) = (job(), engine());
+    engine.control.rig_event(RigEvent::Homed).unwrap();
+    let (waited_for, _caller) = oneshot::channel();
+    // At this pace a press would be slower than 0.02 mm/s.
+    parts(&mut engine).0.stopping.note_poll(12.0);
+    assert_eq!(engine.arm(&job, &waited_for).await, Ok(()));
 }
 
 #[tokio::test]
@@ -306,6 +318,11 @@ async fn an_axis_that_leaves_its_place_ends_the_press_before_frames_are_taken_or
     assert_eq!(trip(Phase::Settle, alarm).await, (TripKind::Device, Phase::Measure));
     let restarts = |x: &mut AxisStatus| x.homed = false;
     assert_eq!(trip(Phase::Press, restarts).await, (TripKind::Position, Phase::Settle));
+    // Its motor is off, without an alarm.
+    let is_off = |x: &mut AxisStatus| x.ready = false;
+    assert_eq!(disturbed(Phase::Tare, is_off).await, (TripKind::Device, Phase::Tare, 0));
+    assert_eq!(trip(Phase::Press, is_off).await, (TripKind::Device, Phase::Settle));
+    assert_eq!(trip(Phase::Settle, is_off).await, (TripKind::Device, Phase::Measure));
 }
 
 #[tokio::test]

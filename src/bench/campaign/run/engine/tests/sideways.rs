@@ -147,10 +147,12 @@ async fn no_axis_moves_sideways_unless_z_is_homed_at_rest_and_clear() {
         (AxisStatus { moving: true, ..clear }, AxisStatus { homed: false, ..clear });
     // Its drive has lost its zero and does not know it.
     let beyond = AxisStatus { position: -30.0, ..clear };
-    let faulty = AxisStatus { alarm: Some(1), ..clear };
+    let (faulty, off) =
+        (AxisStatus { alarm: Some(1), ..clear }, AxisStatus { ready: false, ..clear });
     for name in [AxisName::X, AxisName::Y, AxisName::Radial] {
-        for z in [down, rises, unhomed, beyond, faulty] {
-            let kind = z.alarm.map_or(TripKind::Position, |_| TripKind::Device);
+        for z in [down, rises, unhomed, beyond, faulty, off] {
+            let is_fault = z.alarm.is_some() || !z.ready;
+            let kind = if is_fault { TripKind::Device } else { TripKind::Position };
             *axes.z.status.lock() = z;
             let (stage, control) = parts(&mut engine);
             let moved = stage.travel(control, &[Target::of(name, 10.0)]).await;
@@ -162,9 +164,11 @@ async fn no_axis_moves_sideways_unless_z_is_homed_at_rest_and_clear() {
     *axes.z.status.lock() = clear;
     let (stage, control) = parts(&mut engine);
     let target = [Target::of(AxisName::X, 10.0), Target::of(AxisName::Y, 10.0)];
-    // None is started before each is known, nor while one is in alarm.
+    // None is started before each is known, nor while one is in alarm or has its motor off.
     let sound = axes.y.present();
-    for y in [AxisStatus { position: -30.0, ..sound }, AxisStatus { alarm: Some(1), ..sound }] {
+    let (y_beyond, y_faulty) =
+        (AxisStatus { position: -30.0, ..sound }, AxisStatus { alarm: Some(1), ..sound });
+    for y in [y_beyond, y_faulty, AxisStatus { ready: false, ..sound }] {
         *axes.y.status.lock() = y;
         assert!(stage.travel(control, &target).await.is_err());
         assert_eq!(axes.x.starts.load(Ordering::SeqCst), 0);
@@ -218,9 +222,10 @@ async fn nothing_moves_under_a_load_before_its_first_sample() {
 
 #[tokio::test]
 async fn a_lateral_motion_ends_when_z_sinks_or_a_cell_reads_a_load() {
-    for (z_mm, volts, kind, words) in [
-        (60.0, 0.5, TripKind::Position, "z sank to 60.000 mm"),
-        (0.0, 1.0, TripKind::Cell, "no lateral motion: z reports to be clear, and cell 1"),
+    for (z_mm, ready, volts, kind, words) in [
+        (60.0, true, 0.5, TripKind::Position, "z sank to 60.000 mm"),
+        (0.0, false, 0.5, TripKind::Device, "z is not ready"),
+        (0.0, true, 1.0, TripKind::Cell, "no lateral motion: z reports to be clear, and cell 1"),
     ] {
         let (axes, mut engine) = engine();
         // It moves until it is stopped.
@@ -231,7 +236,7 @@ async fn a_lateral_motion_ends_when_z_sinks_or_a_cell_reads_a_load() {
         let travel = stage.travel(control, &target);
         let touches = async {
             tokio::time::sleep(Duration::from_millis(30)).await;
-            axes.z.status.lock().position = z_mm;
+            *axes.z.status.lock() = AxisStatus { position: z_mm, ready, ..axes.z.present() };
             axes.cells.volts.lock()[0] = volts;
         };
         let (moved, ()) = tokio::join!(travel, touches);
@@ -441,6 +446,16 @@ async fn a_drive_in_alarm_that_keeps_its_zero_is_not_homed() {
     assert!(!engine.home().await);
     let trip = engine.control.inbox.status.borrow().rig.trip.clone();
     assert_eq!(trip.map(|trip| trip.kind), Some(TripKind::Device));
+}
+
+#[tokio::test]
+async fn a_drive_whose_motor_is_off_and_that_keeps_its_zero_is_not_homed() {
+    let (axes, mut engine) = engine();
+    axes.radial.status.lock().ready = false;
+    assert!(!engine.home().await);
+    let trip = engine.control.inbox.status.borrow().rig.trip.clone();
+    assert_eq!(trip.map(|trip| trip.kind), Some(TripKind::Device));
+    assert_eq!(lateral_starts(&axes), [0; 3]);
 }
 
 #[tokio::test]
