@@ -1,5 +1,5 @@
 //! What the tests of both binaries need: the sensor, a client and its requests, a process that ends with its test, a
-//! service, the skin, a wait.
+//! service and its database, the skin, a wait.
 
 use std::fmt::Debug;
 use std::fs::DirBuilder;
@@ -15,6 +15,8 @@ use palpate::conductor::AutoResume;
 use palpate::simulate::model::unit_responses;
 use serde_json::Value;
 use sim_core::sensor::Sensor;
+use sqlx::sqlite::{SqliteConnectOptions, SqliteConnection};
+use sqlx::{ConnectOptions, Connection};
 
 /// Text of the sensor file of 28 electrodes.
 pub const SENSOR: &str = include_str!("../../experiments/sensors/ert-28.toml");
@@ -98,6 +100,19 @@ pub fn with_responses(data: &Path) {
             std::fs::copy(&file, &to).unwrap();
         }
     }
+}
+
+/// The database of a data folder, opened next to its service.
+pub async fn database(data: &Path) -> SqliteConnection {
+    let options = SqliteConnectOptions::new().filename(data.join("palpate.db"));
+    options.connect().await.unwrap()
+}
+
+/// Carries out statements in the database of a data folder, next to its service.
+pub async fn execute(data: &Path, statements: &'static str) {
+    let mut database = database(data).await;
+    sqlx::raw_sql(statements).execute(&mut database).await.unwrap();
+    database.close().await.unwrap();
 }
 
 /// Reads again and again until what is read satisfies this; returns it.

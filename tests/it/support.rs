@@ -14,8 +14,8 @@ use sim_core::sensor::Sensor;
 use tempfile::TempDir;
 
 pub use crate::common::{
-    Process, SENSOR, answered, http, is_refused, left_out, serve_options, skin_cache, until,
-    with_responses,
+    Process, SENSOR, answered, database, execute, http, is_refused, left_out, serve_options,
+    skin_cache, until, with_responses,
 };
 
 pub const PALPATE: &str = env!("CARGO_BIN_EXE_palpate");

@@ -12,12 +12,11 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use reqwest::multipart::{Form, Part};
 use serde_json::{Value, json};
-use sqlx::sqlite::SqliteConnectOptions;
-use sqlx::{ConnectOptions, Connection};
+use sqlx::Connection;
 
 use crate::datasets::filled::{Filled, end, folder, new_run, points, press, store, twin_model};
 use crate::support::{
-    VIRTUAL_RIG, answered, command, copy_folder, done, finished, not_done, with_responses,
+    VIRTUAL_RIG, answered, command, copy_folder, database, done, finished, not_done, with_responses,
 };
 
 /// Number of trials of the run, and of a chunk.
@@ -196,8 +195,7 @@ async fn a_damaged_trial_keeps_no_other_run_from_its_twins() {
     // Of the newest run, which gets its twins first.
     pressed(&data).await;
     with_responses(&data);
-    let options = SqliteConnectOptions::new().filename(data.join("palpate.db"));
-    let mut file = options.connect().await.unwrap();
+    let mut file = database(&data).await;
     let first = i64::from(TRIALS) + 1;
     let damage = "UPDATE trial_voltages SET voltages_v = zeroblob(3136) WHERE trial = ?1";
     let damaged = sqlx::query(damage).bind(first).execute(&mut file).await.unwrap();

@@ -6,10 +6,9 @@ use std::time::Duration;
 use jiff::{SignedDuration, Timestamp};
 use palpate::digest::sha256_hex;
 use serde_json::{Value, json};
-use sqlx::sqlite::SqliteConnectOptions;
-use sqlx::{ConnectOptions, Connection};
+use sqlx::Connection;
 
-use super::bench::{Lab, SENSOR, WAITS, WHOLE, http, rig_args};
+use super::bench::{Lab, SENSOR, WAITS, WHOLE, database, http, rig_args};
 
 /// Two settings of three configurations and four depths: 24 trials.
 pub(super) const SMALL: &str = "name = 'small'\nseed = 5\nsensor = 's'\n[real_hex]\ntips = [1, 4]\n\
@@ -229,8 +228,7 @@ pub(super) async fn held_by_a_lock(name: &str) -> (Lab, String) {
     lab.stored(5).await;
     let taken = http().put(lock(&lab)).json(&json!({ "note": "hands" })).send().await.unwrap();
     assert!(taken.status().is_success());
-    let file = SqliteConnectOptions::new().filename(lab.data.join("palpate.db"));
-    let mut database = file.connect().await.unwrap();
+    let mut database = database(&lab.data).await;
     // Whatever is still stored before the service ends is earlier.
     sqlx::query("UPDATE operator_lock SET since = ?1")
         .bind((Timestamp::now() + SignedDuration::from_hours(1)).to_string())
@@ -316,8 +314,7 @@ async fn an_e_stop_while_the_service_ends_is_known_to_the_next_process() {
 
 /// Replaces the plan of a run, as if an earlier version had planned one skip more.
 async fn plan_of_another_version(lab: &Lab, run: &str) {
-    let file = SqliteConnectOptions::new().filename(lab.data.join("palpate.db"));
-    let mut database = file.connect().await.unwrap();
+    let mut database = database(&lab.data).await;
     let plan: String = sqlx::query_scalar(
         "SELECT p.plan FROM plans p JOIN runs r ON r.plan_sha256 = p.sha256 WHERE r.uid = ?1",
     )

@@ -13,12 +13,11 @@ use rand::{RngExt, SeedableRng};
 use reqwest::Response;
 use rustix::process::{Pid, Resource, Rlimit, Signal, kill_process, prlimit};
 use serde_json::{Value, json};
-use sqlx::sqlite::{SqliteConnectOptions, SqliteConnection};
-use sqlx::{ConnectOptions, Connection};
+use sqlx::Connection;
 
 use super::bench::{
-    COMPUTES, LIMIT, Process, SENSOR, WHOLE, answered, http, skin_cache, tell_at, turn, until,
-    with_responses,
+    COMPUTES, LIMIT, Process, SENSOR, WHOLE, answered, database, http, skin_cache, tell_at, turn,
+    until, with_responses,
 };
 
 const SPEED: &str = "20";
@@ -303,9 +302,7 @@ async fn a_trip_and_an_e_stop_do_not_wait_for_a_database_that_is_locked_for_a_mi
     let _service = site.serve().await;
     let _operator = site.operator(&control);
     pressing(&site).await;
-    let file = Path::new(&site.path("data")).join("palpate.db");
-    let mut other: SqliteConnection =
-        SqliteConnectOptions::new().filename(file).connect().await.unwrap();
+    let mut other = database(&site.folder.join("data")).await;
     sqlx::raw_sql("BEGIN IMMEDIATE").execute(&mut other).await.unwrap();
     let locked = Instant::now();
     trips_and_stops(&site, &control).await;

@@ -5,10 +5,8 @@ use std::time::Duration;
 
 use jiff::{SignedDuration, Timestamp};
 use serde_json::{Value, json};
-use sqlx::sqlite::SqliteConnectOptions;
-use sqlx::{ConnectOptions, Connection};
 
-use super::bench::{Lab, WAITS, rig_args, tell};
+use super::bench::{Lab, WAITS, execute, rig_args, tell};
 use super::campaign::{SMALL, SPEED, complete, held_by_a_lock, release, started, started_early};
 
 /// True position of x, mm.
@@ -199,25 +197,17 @@ async fn a_run_that_is_started_again_after_a_person_has_operated_the_rig_begins_
     lab.close().await;
 }
 
-/// Carries out a statement behind the service.
-async fn behind(lab: &Lab, statement: &'static str) {
-    let file = SqliteConnectOptions::new().filename(lab.data.join("palpate.db"));
-    let mut database = file.connect().await.unwrap();
-    sqlx::raw_sql(statement).execute(&mut database).await.unwrap();
-    database.close().await.unwrap();
-}
-
 #[tokio::test(flavor = "multi_thread")]
 async fn a_pause_that_the_database_does_not_take_is_stated_until_it_is_stored() {
     let (lab, run) = started("unstored").await;
     lab.stored(2).await;
     let refuse = "CREATE TRIGGER no_state BEFORE UPDATE OF state ON runs BEGIN
          SELECT RAISE(ABORT, 'no room'); END";
-    behind(&lab, refuse).await;
+    execute(&lab.data, refuse).await;
     lab.accepts(&run, json!({ "action": "pause", "when": "now" })).await;
     let is_stated = |s: &Value| s["needs"].to_string().contains("The database does not take this");
     lab.until("a pause that is not stored", is_stated).await;
-    behind(&lab, "DROP TRIGGER no_state").await;
+    execute(&lab.data, "DROP TRIGGER no_state").await;
     let is_paused = |s: &Value| s["run"]["state"] == "paused" && !is_stated(s);
     lab.until("a pause that is stored", is_paused).await;
     // The last of its states is stored after the first one.
