@@ -13,6 +13,7 @@ use palpate::api::ServeOptions;
 use palpate::cli::trust;
 use palpate::conductor::AutoResume;
 use palpate::simulate::model::unit_responses;
+use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
 use sim_core::sensor::Sensor;
 use sqlx::sqlite::{SqliteConnectOptions, SqliteConnection};
@@ -55,6 +56,11 @@ impl Drop for Process {
         self.0.kill().ok();
         self.0.wait().ok();
     }
+}
+
+/// Sends a signal to a process that a test has started.
+pub fn signal(process: &Child, signal: Signal) {
+    kill_process(Pid::from_child(process), signal).unwrap();
 }
 
 /// Options of a service on a folder and a rig, at a free port. It makes no twins, and resumes no run automatically.

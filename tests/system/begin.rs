@@ -9,12 +9,12 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use parking_lot::Mutex;
-use rustix::process::{Pid, Signal, kill_process};
+use rustix::process::Signal;
 use serde_json::{Value, json};
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::{TcpListener, TcpStream};
 
-use super::bench::{Lab, Process, WAITS, rig_args};
+use super::bench::{Lab, Process, WAITS, rig_args, signal};
 use super::campaign::SPEED;
 
 /// 66 trials with one tip.
@@ -88,7 +88,7 @@ async fn ctrl_c_as_a_stopped_run_resumes_stops_it_again() {
     let mut resumes = Process(command.spawn().unwrap());
     let row = format!("/api/v1/runs/{run}");
     lab.eventually("the run again", &row, |row| row["state"] == "running").await;
-    kill_process(Pid::from_raw(resumes.0.id().cast_signed()).unwrap(), Signal::INT).unwrap();
+    signal(&resumes.0, Signal::INT);
     let ended = tokio::task::block_in_place(|| resumes.0.wait()).unwrap();
     assert_eq!(ended.code(), Some(1));
     lab.eventually("its end", &row, |row| row["state"] == "ended").await;
@@ -139,7 +139,7 @@ async fn a_homing_that_another_person_aborts_is_over_for_its_command_which_names
 /// A command for which the rig homes is left meanwhile: the homing ends.
 async fn left_as_it_homes(lab: &Lab, command_args: &[&str]) {
     let mut homes = homes(lab, command_args).await;
-    kill_process(Pid::from_raw(homes.0.id().cast_signed()).unwrap(), Signal::INT).unwrap();
+    signal(&homes.0, Signal::INT);
     let ended = tokio::task::block_in_place(|| homes.0.wait()).unwrap();
     assert_eq!(ended.code(), Some(1));
     lab.ends_safely().await;

@@ -13,8 +13,8 @@ use virtual_rig::{OperatorArgs, operator_main};
 
 use crate::common::serve_options;
 pub use crate::common::{
-    Process, SENSOR, answered, database, execute, http, is_refused, left_out, skin_cache, until,
-    with_responses,
+    Process, SENSOR, answered, database, execute, http, is_refused, left_out, signal, skin_cache,
+    until, with_responses,
 };
 
 /// Longest wait for anything that a test waits for.

@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::{Value, json};
 
-use crate::bench::{COMPUTES, LIMIT, turn, with_responses};
+use crate::bench::{COMPUTES, LIMIT, signal, turn, with_responses};
 
 /// 66 trials with one tip.
 const EXPERIMENT: &str = "name = \"leaving\"\nseed = 1\nsensor = \"sensors/ert-28.toml\"\n\
@@ -75,7 +75,7 @@ impl Desk {
 impl Drop for Desk {
     fn drop(&mut self) {
         if let Some(process) = self.service() {
-            send(process as i32, Signal::TERM);
+            kill_process(Pid::from_raw(process as i32).unwrap(), Signal::TERM).unwrap();
             let (process, start) = (format!("/proc/{process}"), Instant::now());
             while Path::new(&process).exists() && start.elapsed() < ENDED_WITHIN {
                 std::thread::sleep(POLL);
@@ -97,8 +97,8 @@ impl Started {
         assert!(found, "it ended before {trials} trials were stored");
     }
 
-    fn signal(&self, signal: Signal) {
-        send(self.child.id() as i32, signal);
+    fn signal(&self, sent: Signal) {
+        signal(&self.child, sent);
     }
 
     /// Its last line, after it has left its run to the service.
@@ -126,10 +126,6 @@ fn until(what: &str, is_so: impl Fn() -> bool) {
 
 fn parsed(line: std::io::Result<String>) -> Value {
     serde_json::from_str(&line.unwrap()).unwrap()
-}
-
-fn send(process: i32, signal: Signal) {
-    kill_process(Pid::from_raw(process).unwrap(), signal).unwrap();
 }
 
 #[tokio::test(flavor = "multi_thread")]
