@@ -94,15 +94,23 @@ pub fn skin_cache() -> PathBuf {
     cache
 }
 
+/// The files of a folder with this extension, by name.
+pub fn with_extension(folder: &Path, extension: &str) -> Vec<PathBuf> {
+    let paths = std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
+    let has = |path: &PathBuf| path.extension().is_some_and(|found| found == extension);
+    let mut found: Vec<PathBuf> = paths.filter(has).collect();
+    found.sort();
+    found
+}
+
 /// Puts the unit responses into the cache of a data folder.
 pub fn with_responses(data: &Path) {
     let cache = data.join("cache");
     DirBuilder::new().recursive(true).mode(0o700).create(&cache).unwrap();
-    for file in std::fs::read_dir(skin_cache()).unwrap().map(|entry| entry.unwrap().path()) {
+    for file in with_extension(&skin_cache(), "bin") {
         let to = cache.join(file.file_name().unwrap());
-        let is_whole = file.extension().is_some_and(|extension| extension == "bin");
         // On another file system a link is not possible.
-        if is_whole && std::fs::hard_link(&file, &to).is_err() && !to.exists() {
+        if std::fs::hard_link(&file, &to).is_err() && !to.exists() {
             std::fs::copy(&file, &to).unwrap();
         }
     }

@@ -15,7 +15,7 @@ use tempfile::TempDir;
 
 pub use crate::common::{
     Process, SENSOR, answered, database, execute, http, is_refused, left_out, serve_options,
-    signal, skin_cache, until, with_responses,
+    signal, skin_cache, until, with_extension, with_responses,
 };
 
 pub const PALPATE: &str = env!("CARGO_BIN_EXE_palpate");

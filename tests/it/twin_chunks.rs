@@ -16,7 +16,8 @@ use sqlx::Connection;
 
 use crate::datasets::filled::{Filled, end, folder, new_run, points, press, store, twin_model};
 use crate::support::{
-    VIRTUAL_RIG, answered, command, copy_folder, database, done, finished, not_done, with_responses,
+    VIRTUAL_RIG, answered, command, copy_folder, database, done, finished, not_done,
+    with_extension, with_responses,
 };
 
 /// Number of trials of the run, and of a chunk.
@@ -65,10 +66,7 @@ async fn refused(lab: &Filled, run: &str, file: Vec<u8>) -> (u16, String) {
 }
 
 fn any_chunk(order: &str) -> Vec<u8> {
-    let results = std::fs::read_dir(Path::new(order).join("results")).unwrap();
-    let mut paths = results.map(|entry| entry.unwrap().path());
-    let chunk = paths.find(|path| path.extension().is_some_and(|ending| ending == "parquet"));
-    std::fs::read(chunk.unwrap()).unwrap()
+    std::fs::read(&with_extension(&Path::new(order).join("results"), "parquet")[0]).unwrap()
 }
 
 /// A trial with its twin, as it is stored.

@@ -14,7 +14,7 @@ use virtual_rig::{OperatorArgs, operator_main};
 use crate::common::serve_options;
 pub use crate::common::{
     Process, SENSOR, answered, database, execute, http, is_refused, left_out, signal, skin_cache,
-    until, with_responses,
+    until, with_extension, with_responses,
 };
 
 /// Longest wait for anything that a test waits for.

@@ -24,7 +24,7 @@ use palpate::rig::traits::{Axis, AxisStatus};
 use serde_json::{Value, json};
 use virtual_rig::run::{RigArgs, VirtualRig};
 
-use super::bench::{WHOLE, file, rig_args, tell, turn};
+use super::bench::{WHOLE, file, rig_args, tell, turn, with_extension};
 
 /// Process seconds in a wall second.
 const SPEED: f64 = 20.0;
@@ -158,16 +158,12 @@ async fn moves_and_stops(axis: &Arc<dyn Axis>, latch: &StopLatch) {
 
 /// Names of the rig files in `experiments/rigs/` that describe a bench, not a skin alone.
 fn rig_files() -> Vec<String> {
-    let entries = std::fs::read_dir(file("rigs")).unwrap().map(|entry| entry.unwrap().path());
-    let files =
-        entries.filter(|path| path.extension().is_some_and(|e| e == "toml")).filter(|path| {
-            let text = std::fs::read_to_string(path).unwrap();
-            RigSetup::from_toml("rig", &text).unwrap().bench().is_some()
-        });
-    let mut names: Vec<String> =
-        files.map(|path| path.file_stem().unwrap().to_str().unwrap().to_owned()).collect();
-    names.sort();
-    names
+    let has_bench = |path: &PathBuf| {
+        let text = std::fs::read_to_string(path).unwrap();
+        RigSetup::from_toml("rig", &text).unwrap().bench().is_some()
+    };
+    let name = |path: PathBuf| path.file_stem().unwrap().to_str().unwrap().to_owned();
+    with_extension(&file("rigs"), "toml").into_iter().filter(has_bench).map(name).collect()
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

@@ -11,7 +11,7 @@ use serde_json::{Value, json};
 
 use super::commands::{evaluate, palpate, table_text, trials};
 use crate::datasets::filled::folder;
-use crate::support::{PALPATE, Process, copy_folder, done, not_done, succeeded};
+use crate::support::{PALPATE, Process, copy_folder, done, not_done, succeeded, with_extension};
 
 /// Few passes over few rows, and few scored ones.
 const TINY: [&str; 6] = ["--epochs", "1", "--rows", "40", "--scored", "20"];
@@ -33,8 +33,7 @@ fn task(data: &Path, name: &str, task: &str, tasks: &str) -> Process {
 
 /// The chunks of an order with this ending: name and bytes.
 pub(super) fn chunks(order: &Path, ending: &str) -> BTreeMap<String, Vec<u8>> {
-    let paths = fs::read_dir(order.join("results")).unwrap().map(|entry| entry.unwrap().path());
-    let chunks = paths.filter(|path| path.extension().is_some_and(|found| found == ending));
+    let chunks = with_extension(&order.join("results"), ending).into_iter();
     let name = |path: &PathBuf| path.file_name().unwrap().to_str().unwrap().to_owned();
     chunks.map(|path| (name(&path), fs::read(path).unwrap())).collect()
 }
