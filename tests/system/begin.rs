@@ -147,9 +147,7 @@ async fn left_as_it_homes(lab: &Lab, command_args: &[&str]) {
 
 /// Starts a command for which the rig homes, until its request is accepted.
 async fn homes(lab: &Lab, command_args: &[&str]) -> Process {
-    // Its homing lasts until the limit of twelve seconds, and trips then.
-    lab.tell_rig(json!({ "cmd": "fault", "kind": "stuck_axis", "device": "x", "for_s": 6000.0 }))
-        .await;
+    lab.stick_x().await;
     std::fs::write(lab.data.join("e.toml"), EXPERIMENT).unwrap();
     let mut command = Command::new(env!("CARGO_BIN_EXE_palpate"));
     command.args(command_args).args(["--json", "--url", &lab.service.url()]);

@@ -81,6 +81,13 @@ pub async fn tell_at(control: &str, command: Value) -> Value {
     serde_json::from_str(&reply).unwrap()
 }
 
+/// A line for the control socket: a fault that begins at once, with what else it states.
+pub fn fault(kind: &str, device: &str, more: Value) -> Value {
+    let mut fault = json!({ "cmd": "fault", "kind": kind, "device": device });
+    fault.as_object_mut().unwrap().extend(more.as_object().unwrap().clone());
+    fault
+}
+
 /// Everything of one test; its folder goes with it.
 pub struct Lab {
     /// Switched on.
@@ -272,6 +279,16 @@ impl Lab {
     /// Sends a line to the control socket, as a hand would.
     pub async fn tell_rig(&self, command: Value) {
         tell(&self.rig, command).await;
+    }
+
+    /// A fault of the rig that begins at once.
+    pub async fn fault(&self, kind: &str, device: &str, more: Value) {
+        self.tell_rig(fault(kind, device, more)).await;
+    }
+
+    /// Sticks x: the next homing lasts until its limit of twelve seconds.
+    pub async fn stick_x(&self) {
+        self.fault("stuck_axis", "x", json!({ "for_s": 6000.0 })).await;
     }
 
     /// Waits until a run has stored `n` trials.

@@ -398,15 +398,10 @@ async fn after_a_restart_the_rig_is_brought_up_when_a_run_is_due() {
 async fn bad_wires_are_retried_then_trip_and_the_run_goes_on_by_itself() {
     let (lab, run) = started("faults").await;
     lab.stored(2).await;
-    let fault = |kind: &str, device: &str, more: Value| {
-        let mut fault = json!({ "cmd": "fault", "kind": kind, "device": device });
-        fault.as_object_mut().unwrap().extend(more.as_object().unwrap().clone());
-        fault
-    };
-    lab.tell_rig(fault("no_reply", "z", json!({ "count": 1, "executed": true }))).await;
-    lab.tell_rig(fault("flip_bytes", "ert", json!({ "count": 3 }))).await;
+    lab.fault("no_reply", "z", json!({ "count": 1, "executed": true })).await;
+    lab.fault("flip_bytes", "ert", json!({ "count": 3 })).await;
     lab.stored(5).await;
-    lab.tell_rig(fault("disconnect", "stage", json!({ "for_s": 120.0 }))).await;
+    lab.fault("disconnect", "stage", json!({ "for_s": 120.0 })).await;
     lab.until("a trip", |s| s["run"]["paused_why"] == "trip").await;
     complete(&lab, &run).await;
     let events = lab.events().await;

@@ -16,8 +16,8 @@ use serde_json::{Value, json};
 use sqlx::Connection;
 
 use super::bench::{
-    COMPUTES, LIMIT, Process, SENSOR, WHOLE, answered, database, http, signal, skin_cache, tell_at,
-    turn, until, with_responses,
+    COMPUTES, LIMIT, Process, SENSOR, WHOLE, answered, database, fault, http, signal, skin_cache,
+    tell_at, turn, until, with_responses,
 };
 
 const SPEED: &str = "20";
@@ -250,9 +250,8 @@ async fn pressing(site: &Site) {
 
 /// A force over its limit and then an e-stop, while nothing can be stored: both act at once.
 async fn trips_and_stops(site: &Site, control: &str) {
-    let drift = json!({ "cmd": "fault", "kind": "drifting_cell", "device": "cells", "arm": 1,
-        "n_per_s": 50.0 });
-    tell_at(control, drift).await;
+    let drift = json!({ "arm": 1, "n_per_s": 50.0 });
+    tell_at(control, fault("drifting_cell", "cells", drift)).await;
     let ended = |s: &Value| !s["rig"]["trip"].is_null() && !s["rig"]["safe_end"].is_null();
     let status = site.until("/api/v1/status", ended).await;
     let end = &status["rig"]["safe_end"];

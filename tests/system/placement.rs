@@ -282,7 +282,7 @@ async fn a_board_that_fails_or_a_stop_gives_up_no_placement() {
     assert!(page["felt"].is_null());
     place(&lab, &page, false).await;
     // Without frames the trial is not measured, and the person is asked again.
-    lab.tell_rig(json!({ "cmd": "fault", "kind": "stall_stream", "device": "ert" })).await;
+    lab.fault("stall_stream", "ert", json!({})).await;
     tokio::time::sleep(Duration::from_millis(300)).await;
     lab.accepts(&run, confirm(0)).await;
     let again = |s: &Value| {

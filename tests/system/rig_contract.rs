@@ -24,7 +24,7 @@ use palpate::rig::traits::{Axis, AxisStatus};
 use serde_json::{Value, json};
 use virtual_rig::run::{RigArgs, VirtualRig};
 
-use super::bench::{WHOLE, file, rig_args, tell, turn, with_extension};
+use super::bench::{WHOLE, fault, file, rig_args, tell, turn, with_extension};
 
 /// Process seconds in a wall second.
 const SPEED: f64 = 20.0;
@@ -109,7 +109,7 @@ async fn home(axis: &Arc<dyn Axis>) {
 /// After an alarm and after a loss of power: reset, prepare, home, and it moves to its target.
 async fn comes_back(rig: &VirtualRig, x: &Arc<dyn Axis>) {
     for kind in ["alarm", "power_loss"] {
-        tell(rig, json!({ "cmd": "fault", "kind": kind, "device": "x", "count": 1 })).await;
+        tell(rig, fault(kind, "x", json!({ "count": 1 }))).await;
         if kind == "alarm" {
             let refused = x.prepare().await.unwrap_err();
             assert!(matches!(refused, RigError::NotReady { .. }), "{refused}");

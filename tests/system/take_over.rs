@@ -15,12 +15,6 @@ async fn x_mm(lab: &Lab) -> f64 {
     truth["axes"][0]["position"].as_f64().unwrap()
 }
 
-/// Sticks x: the next homing lasts until the limit of twelve seconds.
-async fn stick_x(lab: &Lab) {
-    let fault = json!({ "cmd": "fault", "kind": "stuck_axis", "device": "x", "for_s": 6000.0 });
-    lab.tell_rig(fault).await;
-}
-
 #[tokio::test(flavor = "multi_thread")]
 async fn a_manual_run_is_taken_up_after_a_restart_without_a_motion() {
     let lab = Lab::open_alone("hands", rig_args("virtual", SPEED), WAITS).await;
@@ -80,7 +74,7 @@ async fn an_e_stop_with_closed_wires_is_stored_at_once_for_the_next_process() {
 async fn an_abort_ends_the_homing_for_a_run_that_is_about_to_be_driven_again() {
     let (lab, run) = started("homes").await;
     lab.stored(5).await;
-    stick_x(&lab).await;
+    lab.stick_x().await;
     let lab = lab.restart().await;
     lab.until("a homing", |s| s["rig"]["state"] == "disarmed").await;
     tokio::time::sleep(Duration::from_millis(500)).await;
@@ -97,7 +91,7 @@ async fn an_abort_ends_the_homing_for_a_run_that_is_about_to_be_driven_again() {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_homing_is_named_by_the_status_until_an_abort_ends_it() {
     let lab = Lab::open("homing", rig_args("virtual", SPEED), WAITS).await;
-    stick_x(&lab).await;
+    lab.stick_x().await;
     lab.operate(json!({ "action": "connect" })).await;
     assert_eq!(lab.get("/api/v1/status").await["rig"]["motion"], Value::Null);
     lab.operate(json!({ "action": "home" })).await;
@@ -115,7 +109,7 @@ async fn a_homing_is_named_by_the_status_until_an_abort_ends_it() {
 async fn a_pause_of_a_run_that_is_about_to_be_driven_again_holds_it() {
     let (lab, run) = started("held").await;
     lab.stored(5).await;
-    stick_x(&lab).await;
+    lab.stick_x().await;
     let lab = lab.restart().await;
     lab.until("a homing", |s| s["rig"]["state"] == "disarmed").await;
     // The command names no run, and none is active.

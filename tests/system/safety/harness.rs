@@ -261,9 +261,7 @@ impl Harness {
 
     /// A fault that begins at once.
     pub async fn fault(&self, kind: &str, device: &str, more: Value) {
-        let mut fault = json!({ "cmd": "fault", "kind": kind, "device": device });
-        fault.as_object_mut().unwrap().extend(more.as_object().unwrap().clone());
-        self.tell(fault).await;
+        self.tell(bench::fault(kind, device, more)).await;
     }
 
     /// What the bench truly does.
