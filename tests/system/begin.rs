@@ -71,8 +71,7 @@ async fn carry(client: TcpStream, service: TcpStream, requested: Arc<Mutex<Strin
 
 #[tokio::test(flavor = "multi_thread")]
 async fn ctrl_c_as_a_stopped_run_resumes_stops_it_again() {
-    let lab = Lab::open("left-as-it-began", rig_args("virtual", 20.0), WAITS).await;
-    lab.home().await;
+    let lab = Lab::homed("left-as-it-began", 20.0, WAITS).await;
     let run = lab.begin(EXPERIMENT).await;
     lab.stored(1).await;
     lab.accepts(&run, json!({ "action": "stop" })).await;

@@ -108,6 +108,13 @@ impl Lab {
         lab
     }
 
+    /// Switches everything on, with a virtual rig of this speed, and homes.
+    pub async fn homed(name: &str, speed: f64, share: u32) -> Self {
+        let lab = Self::open(name, rig_args("virtual", speed), share).await;
+        lab.home().await;
+        lab
+    }
+
     /// Switches everything on; no operator mounts tips or places weights.
     pub async fn open_alone(name: &str, args: RigArgs, share: u32) -> Self {
         let turn = turn(share).await;

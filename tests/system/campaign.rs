@@ -24,8 +24,7 @@ pub(super) async fn started(name: &str) -> (Lab, String) {
 
 /// As [`started`], with the process seconds in a wall second.
 async fn started_at(name: &str, speed: f64) -> (Lab, String) {
-    let lab = Lab::open(name, rig_args("virtual", speed), WAITS).await;
-    lab.home().await;
+    let lab = Lab::homed(name, speed, WAITS).await;
     let run = lab.begin(SMALL).await;
     (lab, run)
 }
@@ -373,8 +372,7 @@ async fn began_in_time(lab: &Lab, run: &str) {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_run_begins_when_its_time_has_come_and_holds_up_no_other() {
-    let lab = Lab::open("early", rig_args("virtual", SPEED), WAITS).await;
-    lab.home().await;
+    let lab = Lab::homed("early", SPEED, WAITS).await;
     let early = started_early(&lab, 8).await;
     let next = lab.begin(SMALL).await;
     complete(&lab, &next).await;
@@ -384,8 +382,7 @@ async fn a_run_begins_when_its_time_has_come_and_holds_up_no_other() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn after_a_restart_the_rig_is_brought_up_when_a_run_is_due() {
-    let lab = Lab::open("early-restart", rig_args("virtual", SPEED), WAITS).await;
-    lab.home().await;
+    let lab = Lab::homed("early-restart", SPEED, WAITS).await;
     let early = started_early(&lab, 12).await;
     let lab = lab.restart().await;
     let status = lab.get("/api/v1/status").await;
@@ -411,8 +408,7 @@ async fn bad_wires_are_retried_then_trip_and_the_run_goes_on_by_itself() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn weights_are_placed_confirmed_measured_and_repeated() {
-    let lab = Lab::open("random", rig_args("virtual", SPEED), WAITS).await;
-    lab.home().await;
+    let lab = Lab::homed("random", SPEED, WAITS).await;
     let definition = "name = 'weights'\nseed = 2\nsensor = 's'\n[real_random]\ncontacts = [2, 3]\n\
         trials_each = 3\nweights_n = [4.905, 9.81]\n[measure]\nframes_per_trial = 5\n";
     let run = lab.begin(definition).await;

@@ -7,7 +7,7 @@ use jiff::{SignedDuration, Timestamp};
 use reqwest::Response;
 use serde_json::{Value, json};
 
-use super::bench::{LIMIT, Lab, WAITS, http, rig_args, tell, until};
+use super::bench::{LIMIT, Lab, WAITS, http, tell, until};
 
 /// 66 trials with one tip.
 const EXPERIMENT: &str = "name = 'late'\nseed = 1\nsensor = 's'\n[real_hex]\ntips = [1]\n\
@@ -39,8 +39,7 @@ async fn is_at(lab: &Lab, to_mm: f64) {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_jog_that_is_sent_twice_with_one_key_moves_once() {
-    let lab = Lab::open("once", rig_args("virtual", 20.0), WAITS).await;
-    lab.home().await;
+    let lab = Lab::homed("once", 20.0, WAITS).await;
     for (key, to_mm) in [("a", 100.0), ("b", 140.0)] {
         assert_eq!(jog(&lab, key, to_mm).await.status(), 202);
         is_at(&lab, to_mm).await;
@@ -60,8 +59,7 @@ async fn a_jog_that_is_sent_twice_with_one_key_moves_once() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_jog_that_comes_long_after_its_status_moves_nothing() {
-    let lab = Lab::open("late", rig_args("virtual", 20.0), WAITS).await;
-    lab.home().await;
+    let lab = Lab::homed("late", 20.0, WAITS).await;
     let at = lab.get("/api/v1/status").await["at"].as_str().unwrap().to_owned();
     let before = at.parse::<Timestamp>().unwrap() - SignedDuration::from_secs(11);
     let late = jog_with(&lab, ("status-at", &before.to_string()), 100.0).await;

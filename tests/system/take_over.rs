@@ -127,8 +127,7 @@ async fn a_pause_of_a_run_that_is_about_to_be_driven_again_holds_it() {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_jog_at_the_start_time_of_a_run_does_not_drop_it() {
     // Slow enough that a jog lasts longer than a second.
-    let lab = Lab::open("jogged", rig_args("virtual", 2.0), WAITS).await;
-    lab.home().await;
+    let lab = Lab::homed("jogged", 2.0, WAITS).await;
     let run = started_early(&lab, 6).await;
     let row = lab.get(&format!("/api/v1/runs/{run}")).await;
     let due: Timestamp = row["not_before"].as_str().unwrap().parse().unwrap();
@@ -179,8 +178,7 @@ async fn no_run_begins_by_itself_after_an_abort_of_a_moving_run_and_the_queue_sa
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_run_that_is_started_again_after_a_person_has_operated_the_rig_begins_in_time() {
-    let lab = Lab::open("handed-over", rig_args("virtual", SPEED), WAITS).await;
-    lab.home().await;
+    let lab = Lab::homed("handed-over", SPEED, WAITS).await;
     let run = started_early(&lab, 20).await;
     let lab = lab.restart().await;
     lab.operate(json!({ "action": "connect" })).await;
