@@ -14,12 +14,8 @@ use serde_json::{Value, json};
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::{TcpListener, TcpStream};
 
-use super::bench::{Lab, Process, WAITS, rig_args, signal};
+use super::bench::{Lab, ONE_TIP, Process, WAITS, rig_args, signal};
 use super::campaign::SPEED;
-
-/// 66 trials with one tip.
-const EXPERIMENT: &str = "name = \"begins\"\nseed = 1\nsensor = \"sensors/ert-28.toml\"\n\
-    [real_hex]\ntips = [1]\nconfigurations = 6\nblock = 6\nreference_every = 6\n";
 
 /// A wire to a service: what was requested on it, and its URL. A connection on which a start is requested gets no answer
 /// from then on.
@@ -72,14 +68,14 @@ async fn carry(client: TcpStream, service: TcpStream, requested: Arc<Mutex<Strin
 #[tokio::test(flavor = "multi_thread")]
 async fn ctrl_c_as_a_stopped_run_resumes_stops_it_again() {
     let lab = Lab::homed("left-as-it-began", 20.0, WAITS).await;
-    let run = lab.begin(EXPERIMENT).await;
+    let run = lab.begin(ONE_TIP).await;
     lab.stored(1).await;
     lab.accepts(&run, json!({ "action": "stop" })).await;
     lab.ended(&run).await;
     let is_free = |s: &Value| s["run"].is_null() && s["rig"]["state"] == "homed";
     lab.until("the end of the run", is_free).await;
 
-    std::fs::write(lab.data.join("e.toml"), EXPERIMENT).unwrap();
+    std::fs::write(lab.data.join("e.toml"), ONE_TIP).unwrap();
     let (url, requested) = wire(&lab.service.url()).await;
     let mut command = Command::new(env!("CARGO_BIN_EXE_palpate"));
     command.args(["run", "e.toml", "--json", "--url", &url]).current_dir(&lab.data);
@@ -147,7 +143,7 @@ async fn left_as_it_homes(lab: &Lab, command_args: &[&str]) {
 /// Starts a command for which the rig homes, until its request is accepted.
 async fn homes(lab: &Lab, command_args: &[&str]) -> Process {
     lab.stick_x().await;
-    std::fs::write(lab.data.join("e.toml"), EXPERIMENT).unwrap();
+    std::fs::write(lab.data.join("e.toml"), ONE_TIP).unwrap();
     let mut command = Command::new(env!("CARGO_BIN_EXE_palpate"));
     command.args(command_args).args(["--json", "--url", &lab.service.url()]);
     command.current_dir(&lab.data);

@@ -20,6 +20,10 @@ pub use crate::common::{
 /// Longest wait for anything that a test waits for.
 pub const LIMIT: Duration = Duration::from_secs(120);
 
+/// An experiment of 66 trials with one tip, named `one-tip`.
+pub const ONE_TIP: &str = "name = \"one-tip\"\nseed = 1\nsensor = \"sensors/ert-28.toml\"\n\
+    [real_hex]\ntips = [1]\nconfigurations = 6\nblock = 6\nreference_every = 6\n";
+
 /// A file of `experiments/`.
 pub fn file(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("experiments").join(name)

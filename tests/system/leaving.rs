@@ -10,11 +10,7 @@ use std::time::{Duration, Instant};
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::{Value, json};
 
-use crate::bench::{COMPUTES, LIMIT, signal, turn, with_responses};
-
-/// 66 trials with one tip.
-const EXPERIMENT: &str = "name = \"leaving\"\nseed = 1\nsensor = \"sensors/ert-28.toml\"\n\
-    [real_hex]\ntips = [1]\nconfigurations = 6\nblock = 6\nreference_every = 6\n";
+use crate::bench::{COMPUTES, LIMIT, ONE_TIP, signal, turn, with_responses};
 
 const POLL: Duration = Duration::from_millis(20);
 /// Longest wait for the end of a service that a test leaves.
@@ -27,8 +23,8 @@ impl Desk {
     fn new(name: &str) -> Self {
         let folder = std::env::temp_dir().join(format!("palpate-{name}-{}", std::process::id()));
         std::fs::create_dir_all(&folder).unwrap();
-        std::fs::write(folder.join("e.toml"), EXPERIMENT).unwrap();
-        std::fs::write(folder.join("next.toml"), EXPERIMENT.replace("leaving", "next")).unwrap();
+        std::fs::write(folder.join("e.toml"), ONE_TIP).unwrap();
+        std::fs::write(folder.join("next.toml"), ONE_TIP.replace("one-tip", "next")).unwrap();
         let desk = Self(folder);
         with_responses(&desk.data());
         desk

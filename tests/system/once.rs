@@ -7,11 +7,7 @@ use jiff::{SignedDuration, Timestamp};
 use reqwest::Response;
 use serde_json::{Value, json};
 
-use super::bench::{LIMIT, Lab, WAITS, http, tell, until};
-
-/// 66 trials with one tip.
-const EXPERIMENT: &str = "name = 'late'\nseed = 1\nsensor = 's'\n[real_hex]\ntips = [1]\n\
-     configurations = 6\nblock = 6\nreference_every = 6\n";
+use super::bench::{LIMIT, Lab, ONE_TIP, WAITS, http, tell, until};
 
 /// Requests a jog of x with a key.
 async fn jog(lab: &Lab, key: &str, to_mm: f64) -> Response {
@@ -73,7 +69,7 @@ async fn a_jog_that_comes_long_after_its_status_moves_nothing() {
     is_at(&lab, 140.0).await;
     lab.until("homed again", |s| s["rig"]["state"] == "homed").await;
     // A start that comes late begins nothing; an abort is never late.
-    let run = lab.queue(EXPERIMENT).await;
+    let run = lab.queue(ONE_TIP).await;
     let armed = lab.posted(&format!("/api/v1/runs/{run}/arm"), json!({ "who": "test" })).await;
     let start = json!({ "action": "start", "code": armed["code"], "who": "test" });
     let url = format!("{}/api/v1/runs/{run}/actions", lab.service.url());
