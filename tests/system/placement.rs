@@ -21,14 +21,9 @@ const WHO: &str = "ada";
 const FOUR: &str = "name = 'weights'\nseed = 2\nsensor = 's'\n[real_random]\ncontacts = [2]\n\
     trials_each = 4\nweights_n = [4.905, 9.81]\n[measure]\nframes_per_trial = 5\n";
 
-/// A skin that is as its nominal model predicts, except for noise: what a calibrated one is to its model.
-fn gap_free() -> PathBuf {
-    static WRITTEN: LazyLock<PathBuf> = LazyLock::new(write_gap_free);
-    WRITTEN.clone()
-}
-
-/// Tests run at the same time: one of them writes the file.
-fn write_gap_free() -> PathBuf {
+/// A skin that is as its nominal model predicts, except for noise: what a calibrated one is to its model. Tests run at
+/// the same time: one of them writes the file.
+static GAP_FREE: LazyLock<PathBuf> = LazyLock::new(|| {
     let text = std::fs::read_to_string(file("gaps/gap-a.toml")).unwrap();
     let line = |line: &str| {
         let key = line.split(" = ").next().unwrap().to_owned();
@@ -44,10 +39,10 @@ fn write_gap_free() -> PathBuf {
     let path = Path::new(env!("CARGO_TARGET_TMPDIR")).join("gap-free.toml");
     std::fs::write(&path, text.lines().map(line).collect::<Vec<_>>().join("\n")).unwrap();
     path
-}
+});
 
 pub fn skin_alone() -> RigArgs {
-    RigArgs { gap: gap_free(), ..rig_args("skin-only", SPEED) }
+    RigArgs { gap: GAP_FREE.clone(), ..rig_args("skin-only", SPEED) }
 }
 
 /// The calibration that states the nominal values.

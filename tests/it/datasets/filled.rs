@@ -287,6 +287,14 @@ impl Filled {
         Self::serve_as(data, |options| options.local_admin = local_admin).await
     }
 
+    /// A service on a folder whose requests need a key.
+    pub async fn serve_keys(data: PathBuf) -> Self {
+        let change = |options: &mut ServeOptions| {
+            (options.local_admin, options.require_key) = (false, true);
+        };
+        Self::serve_as(data, change).await
+    }
+
     /// A service on a folder, with other options.
     pub async fn serve_as(data: PathBuf, change: impl FnOnce(&mut ServeOptions)) -> Self {
         let mut options = serve_options(&data, rig());
