@@ -72,8 +72,7 @@ async fn an_e_stop_with_closed_wires_is_stored_at_once_for_the_next_process() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn an_abort_ends_the_homing_for_a_run_that_is_about_to_be_driven_again() {
-    let (lab, run) = started("homes").await;
-    lab.stored(5).await;
+    let (lab, run) = started("homes", 5).await;
     lab.stick_x().await;
     let lab = lab.restart().await;
     lab.until("a homing", |s| s["rig"]["state"] == "disarmed").await;
@@ -107,8 +106,7 @@ async fn a_homing_is_named_by_the_status_until_an_abort_ends_it() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_pause_of_a_run_that_is_about_to_be_driven_again_holds_it() {
-    let (lab, run) = started("held").await;
-    lab.stored(5).await;
+    let (lab, run) = started("held", 5).await;
     lab.stick_x().await;
     let lab = lab.restart().await;
     lab.until("a homing", |s| s["rig"]["state"] == "disarmed").await;
@@ -148,7 +146,7 @@ async fn a_jog_at_the_start_time_of_a_run_does_not_drop_it() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn no_run_begins_by_itself_after_an_abort_of_a_moving_run_and_the_queue_says_why() {
-    let (lab, run) = started("aborted").await;
+    let (lab, run) = started("aborted", 0).await;
     let next = lab.begin(SMALL).await;
     lab.stored(1).await;
     lab.accepts(&run, json!({ "action": "abort" })).await;
@@ -191,8 +189,7 @@ async fn a_run_that_is_started_again_after_a_person_has_operated_the_rig_begins_
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_pause_that_the_database_does_not_take_is_stated_until_it_is_stored() {
-    let (lab, run) = started("unstored").await;
-    lab.stored(2).await;
+    let (lab, run) = started("unstored", 2).await;
     let refuse = "CREATE TRIGGER no_state BEFORE UPDATE OF state ON runs BEGIN
          SELECT RAISE(ABORT, 'no room'); END";
     execute(&lab.data, refuse).await;
