@@ -86,11 +86,21 @@ impl Harness {
         harness
     }
 
-    /// A homed rig on which `n` trials of an experiment with these tips are stored.
-    pub async fn running(tips: u8, n: u64) -> Self {
+    /// A homed rig on which `n` trials of an experiment with two tips are stored.
+    pub async fn running(n: u64) -> Self {
         let harness = Self::homed().await;
-        harness.run(tips, "").await;
+        harness.run(2, "").await;
         harness.stored(n).await;
+        harness
+    }
+
+    /// As `running`, once the rig's tips truly press again.
+    pub async fn pressing(n: u64) -> Self {
+        let harness = Self::running(n).await;
+        let start = Instant::now();
+        while harness.truth().await["pressing"] != true {
+            assert!(start.elapsed() < LIMIT, "nothing presses: {:#?}", harness.handle.status());
+        }
         harness
     }
 
@@ -217,14 +227,6 @@ impl Harness {
         assert_eq!(status.rig.state, RigState::Tripped, "{:#?}", status.rig);
         assert_eq!(self.taken_trials(), stored);
         status
-    }
-
-    /// Waits until the rig's tips truly press.
-    pub async fn pressing(&self) {
-        let start = Instant::now();
-        while self.truth().await["pressing"] != true {
-            assert!(start.elapsed() < LIMIT, "nothing presses: {:#?}", self.handle.status());
-        }
     }
 
     /// Waits for a trip and for its safe end.
