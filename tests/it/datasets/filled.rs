@@ -312,6 +312,11 @@ impl Filled {
         self.http.get(self.url(path)).send().await.unwrap()
     }
 
+    /// The entity tag of what is at an address.
+    pub async fn tag(&self, path: &str) -> String {
+        self.answer(path).await.headers()["etag"].to_str().unwrap().to_owned()
+    }
+
     /// Makes a dataset of the trials stored now, by its name.
     pub async fn make(&self, name: &str) -> Value {
         self.posted("/api/v1/datasets", json!({ "name": name }), 200).await
