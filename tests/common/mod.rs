@@ -1,5 +1,5 @@
 //! What the tests of both binaries need: the sensor, a client and its requests, a process that ends with its test, a
-//! service, the skin, a wait.
+//! service and its database, the skin, a wait.
 
 use std::fmt::Debug;
 use std::fs::DirBuilder;
@@ -13,8 +13,11 @@ use palpate::api::ServeOptions;
 use palpate::cli::trust;
 use palpate::conductor::AutoResume;
 use palpate::simulate::model::unit_responses;
+use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
 use sim_core::sensor::Sensor;
+use sqlx::sqlite::{SqliteConnectOptions, SqliteConnection};
+use sqlx::{ConnectOptions, Connection};
 
 /// Text of the sensor file of 28 electrodes.
 pub const SENSOR: &str = include_str!("../../experiments/sensors/ert-28.toml");
@@ -55,6 +58,11 @@ impl Drop for Process {
     }
 }
 
+/// Sends a signal to a process that a test has started.
+pub fn signal(process: &Child, signal: Signal) {
+    kill_process(Pid::from_child(process), signal).unwrap();
+}
+
 /// Options of a service on a folder and a rig, at a free port. It makes no twins, and resumes no run automatically.
 pub fn serve_options(data: &Path, rig_text: String) -> ServeOptions {
     ServeOptions {
@@ -86,18 +94,39 @@ pub fn skin_cache() -> PathBuf {
     cache
 }
 
+/// The files of a folder with this extension, by name.
+pub fn with_extension(folder: &Path, extension: &str) -> Vec<PathBuf> {
+    let paths = std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
+    let has = |path: &PathBuf| path.extension().is_some_and(|found| found == extension);
+    let mut found: Vec<PathBuf> = paths.filter(has).collect();
+    found.sort();
+    found
+}
+
 /// Puts the unit responses into the cache of a data folder.
 pub fn with_responses(data: &Path) {
     let cache = data.join("cache");
     DirBuilder::new().recursive(true).mode(0o700).create(&cache).unwrap();
-    for file in std::fs::read_dir(skin_cache()).unwrap().map(|entry| entry.unwrap().path()) {
+    for file in with_extension(&skin_cache(), "bin") {
         let to = cache.join(file.file_name().unwrap());
-        let is_whole = file.extension().is_some_and(|extension| extension == "bin");
         // On another file system a link is not possible.
-        if is_whole && std::fs::hard_link(&file, &to).is_err() && !to.exists() {
+        if std::fs::hard_link(&file, &to).is_err() && !to.exists() {
             std::fs::copy(&file, &to).unwrap();
         }
     }
+}
+
+/// The database of a data folder, opened next to its service.
+pub async fn database(data: &Path) -> SqliteConnection {
+    let options = SqliteConnectOptions::new().filename(data.join("palpate.db"));
+    options.connect().await.unwrap()
+}
+
+/// Carries out statements in the database of a data folder, next to its service.
+pub async fn execute(data: &Path, statements: &'static str) {
+    let mut database = database(data).await;
+    sqlx::raw_sql(statements).execute(&mut database).await.unwrap();
+    database.close().await.unwrap();
 }
 
 /// Reads again and again until what is read satisfies this; returns it.

@@ -53,6 +53,16 @@ def together(work):
         thread.join()
 
 
+def share(values, q):
+    """The value below which a share of the values is."""
+    return sorted(values)[min(len(values) - 1, int(q * len(values)))]
+
+
+def answer(printed):
+    """The answer of a command with --json: its last line."""
+    return json.loads(printed.splitlines()[-1])
+
+
 def memory_mb(process):
     """Largest memory of a process until now."""
     status = pathlib.Path(f"/proc/{process.pid}/status").read_text()

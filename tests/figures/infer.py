@@ -18,6 +18,7 @@ from pathlib import Path
 
 import numpy
 import onnxruntime
+from bench import share
 
 NAMES = ["transfer", "transfer-residual", "points", "recon-32", "recon-64", "recon-160"]
 
@@ -71,8 +72,7 @@ def report(found: dict) -> None:
         for (way, size), runs in found.items():
             if size != batch:
                 continue
-            each = [sorted(run["latencies_ms"]) for run in runs]
-            at = lambda q: statistics.median(one[min(len(one) - 1, int(q * len(one)))] for one in each)
+            at = lambda q: statistics.median(share(run["latencies_ms"], q) for run in runs)
             print(
                 f"  batch {batch:2}, {way:22} p50 {at(0.5):8.2f} ms, p99 {at(0.99):8.2f} ms, "
                 f"{rate(runs):8.0f} frames/s, ratio {rate(runs) / base:.2f}"

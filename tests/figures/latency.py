@@ -28,7 +28,7 @@ from datetime import datetime
 from urllib.parse import urlsplit
 
 sys.dont_write_bytecode = True
-from bench import Bench, call, together  # noqa: E402
+from bench import Bench, call, share, together  # noqa: E402
 
 READS = ["/api/v1/status", "/api/v1/trials?limit=20&sort=-trial_id", "/api/v1/events?since=-50", "/metrics"]
 PERIOD_S = 60.0
@@ -59,11 +59,6 @@ def spread(name: str, values: list[float], unit: str) -> None:
     print(f"{name}: n {len(values)}, p50 {at(0.5):.3f}, p99 {at(0.99):.3f}, max {values[-1]:.3f} {unit}")
 
 
-def share(values: list[float], q: float) -> float:
-    """The value below which a share of the values is."""
-    return sorted(values)[min(len(values) - 1, int(q * len(values)))]
-
-
 def with_dashboards(palpate: str, folder: str, seconds: float) -> tuple[str, bool]:
     """Gaps between the trials of a run, without and with 20 dashboards, as words; whether enough were counted and the p99
     stays."""
@@ -71,7 +66,11 @@ def with_dashboards(palpate: str, folder: str, seconds: float) -> tuple[str, boo
         bench.home()
         run = bench.queue(LONG)
         bench.begin(run)
-        found = measured(bench.url, str(run["scan_id"]), seconds, "dashboards")
+        return verdict(measured(bench.url, str(run["scan_id"]), seconds, "dashboards"))
+
+
+def verdict(found: dict[str, tuple[list[float], list[float]]]) -> tuple[str, bool]:
+    """The p99 of both sides of `measured` as words; whether enough gaps were counted and it stays."""
     sides = [found[name][0] for name in ("idle", "under load")]
     counts = [len(side) for side in sides]
     if min(counts) < GAPS_LEAST:

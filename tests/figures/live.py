@@ -10,6 +10,8 @@ import json
 import subprocess
 import sys
 
+from bench import share
+
 
 def follow(palpate: str, url: str, method: str, frames: int) -> list[dict]:
     command = [palpate, "live", "--json", "--url", url, "--method", method, "--frames", str(frames)]
@@ -18,9 +20,9 @@ def follow(palpate: str, url: str, method: str, frames: int) -> list[dict]:
 
 
 def words(name: str, answers: list[dict]) -> str:
-    latencies = sorted(answer["latency_us"] / 1e3 for answer in answers)
-    at = lambda q: latencies[min(len(latencies) - 1, int(q * len(latencies)))]
-    return f"{name:8} {len(answers):5} frames, p50 {at(0.5):7.2f} ms, p99 {at(0.99):7.2f} ms, longest {latencies[-1]:7.2f} ms"
+    latencies = [answer["latency_us"] / 1e3 for answer in answers]
+    at = lambda q: share(latencies, q)
+    return f"{name:8} {len(answers):5} frames, p50 {at(0.5):7.2f} ms, p99 {at(0.99):7.2f} ms, longest {at(1.0):7.2f} ms"
 
 
 def main(palpate: str, url: str, frames: int, methods: list[str]) -> None:

@@ -14,11 +14,10 @@ carried recipe or a file [default: mlp].
 """
 
 import argparse
-import json
 import pathlib
 import sys
 
-from bench import once
+from bench import answer, once
 
 MAKE = pathlib.Path(__file__).resolve().parents[1] / "it" / "evaluate" / "python" / "skins.py"
 QUANTITIES = {"pad": "position", "sheet": "pattern"}
@@ -40,7 +39,7 @@ def numbers(palpate, folder, skin, recipes, *made):
     options += [word for recipe in recipes for word in ("--recipe", recipe)]
     name = "-".join([skin, *(pathlib.Path(recipe).stem for recipe in recipes)])
     printed = once(folder, name, palpate, "evaluate", "quantity", QUANTITIES[skin], *options)
-    return json.loads(printed.splitlines()[-1])
+    return answer(printed)
 
 
 def error(scores):

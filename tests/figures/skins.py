@@ -22,7 +22,7 @@ import datetime
 import json
 import pathlib
 
-from bench import once
+from bench import answer, once
 
 # gap:seed. Gap d is for reporting only: no method was chosen by it.
 SKINS = "gap-a:5,gap-a:8,gap-b:3,gap-c:5,gap-c:6,gap-c:7,gap-d:1,gap-d:2"
@@ -61,11 +61,6 @@ def measure(palpate, folder, gap, seed, points, paper):
     untouched = ["--dataset", "real-untouched", "--where", "max_force_n__lt=0.1", "--json"]
     step(folder, "untouched", palpate, "evaluate", "method", "exact", *untouched)
     keep(folder, gap, seed)
-
-
-def answer(printed):
-    """The answer of a command with --json: its last line."""
-    return json.loads(printed.splitlines()[-1])
 
 
 def experiments():

@@ -142,10 +142,7 @@ async fn nobody_becomes_somebody_else() {
         assert_eq!(asked.send().await.unwrap().status(), wanted, "{authorization}");
     }
     // A key in an address is no key: an unknown parameter, of a caller without a key.
-    let lab = Filled::serve_as(lab.end().await, |options| {
-        (options.local_admin, options.require_key) = (false, true);
-    })
-    .await;
+    let lab = Filled::serve_keys(lab.end().await).await;
     lab.refuses_get(&format!("/api/v1/status?key={secret}"), 401, "").await;
     // A page of another site may not even read.
     let foreign = lab.http.get(lab.url("/api/v1/datasets/real")).bearer_auth(&secret);

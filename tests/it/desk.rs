@@ -46,10 +46,6 @@ impl Filled {
         self.posted(QUEUE, body, 201).await
     }
 
-    async fn queue_tag(&self) -> String {
-        self.answer(QUEUE).await.headers()["etag"].to_str().unwrap().to_owned()
-    }
-
     /// Arms a run and starts it; returns the code and the response.
     async fn started(&self, run: &Value) -> (Value, (u16, Value)) {
         let run = run.as_str().unwrap();
@@ -158,7 +154,7 @@ async fn an_edited_run_has_a_new_plan_and_keeps_its_place() {
     assert_eq!((&times[0]["run"], &times[2]["problem"]), (&first["uid"], &Value::Null), "{times}");
     assert!(times[0]["duration_s"].as_f64().unwrap() > 0.0, "{times}");
     assert!(times[1]["begin"].is_string() && times[1]["begin"] == times[0]["end"], "{times}");
-    let seen = lab.queue_tag().await;
+    let seen = lab.tag(QUEUE).await;
     let plan = format!("/api/v1/runs/{}/plan", edited["uid"].as_str().unwrap());
     let before = lab.get(&plan).await;
     let mut other = submission(5);
@@ -180,7 +176,7 @@ async fn an_edited_run_has_a_new_plan_and_keeps_its_place() {
     // The other person saw the queue before; nothing has changed.
     let (status, refused) = lab.put(&edited["uid"], Some(&seen), &submission(6)).await;
     assert_eq!(status, 412, "{refused}");
-    let sound = lab.queue_tag().await;
+    let sound = lab.tag(QUEUE).await;
     let mut wrong = submission(6);
     wrong["definition"] =
         QUICKSTART.replace("depths", "depth").replace("block = 6", "blok = 6").into();
@@ -189,7 +185,7 @@ async fn an_edited_run_has_a_new_plan_and_keeps_its_place() {
     late["not_before"] = in_seconds(400 * 86_400).into();
     let (status, refused) = lab.put(&edited["uid"], None, &late).await;
     assert_eq!((status, &refused["errors"][0]["key"]), (422, &json!("not_before")), "{refused}");
-    assert_eq!(lab.queue_tag().await, sound);
+    assert_eq!(lab.tag(QUEUE).await, sound);
     // An edit without a start time removes it; the plan of nobody is gone, that of another run stays.
     let (status, row) = lab.put(&edited["uid"], None, &submission(2)).await;
     assert_eq!((status, &row["not_before"]), (200, &Value::Null), "{row}");

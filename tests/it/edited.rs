@@ -24,11 +24,6 @@ impl Filled {
         request.json(&body).send().await.unwrap()
     }
 
-    async fn tag(&self, path: &str) -> String {
-        let response = self.answer(path).await;
-        response.headers()["etag"].to_str().unwrap().to_owned()
-    }
-
     async fn enqueued(&self) -> String {
         let run = json!({ "file": "q.toml", "definition": QUICKSTART, "sensor": SENSOR });
         let run = self.posted(QUEUE, run, 201).await;

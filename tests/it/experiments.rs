@@ -14,7 +14,7 @@ use palpate::schedule::plan::Plan;
 use palpate::schedule::preflight::Preflight;
 use palpate::schedule::reach::Reach;
 
-use crate::support::sensor;
+use crate::support::{sensor, with_extension};
 
 /// The longest that `palpate plan experiments/real-hex.toml` may take.
 const PLAN_WITHIN: Duration = Duration::from_secs(2);
@@ -29,13 +29,8 @@ fn read(name: &str) -> String {
 
 /// The experiment files, by name.
 fn files() -> Vec<String> {
-    let mut names: Vec<String> = std::fs::read_dir(folder())
-        .unwrap()
-        .map(|entry| entry.unwrap().file_name().into_string().unwrap())
-        .filter(|name| name.ends_with(".toml"))
-        .collect();
-    names.sort();
-    names
+    let name = |path: PathBuf| path.file_name().unwrap().to_str().unwrap().to_owned();
+    with_extension(&folder(), "toml").into_iter().map(name).collect()
 }
 
 fn experiment(name: &str) -> Experiment {

@@ -11,18 +11,14 @@ use palpate::schedule::experiment::Experiment;
 use palpate::schedule::plan::Plan;
 use sim_core::sensor::Sensor;
 
+use crate::support::with_extension;
+
 #[test]
 fn the_plans_of_the_carried_experiments_are_the_golden_ones() {
     let here = Path::new(env!("CARGO_MANIFEST_DIR"));
     let (carried, golden) = (here.join("experiments"), here.join("tests/it/golden_plans.txt"));
-    let mut files: Vec<_> = std::fs::read_dir(&carried)
-        .unwrap()
-        .map(|entry| entry.unwrap().path())
-        .filter(|path| path.extension().is_some_and(|e| e == "toml"))
-        .collect();
-    files.sort();
     let mut lines = String::new();
-    for path in files {
+    for path in with_extension(&carried, "toml") {
         let file = path.file_name().unwrap().to_string_lossy().into_owned();
         let experiment =
             Experiment::from_toml(&file, &std::fs::read_to_string(&path).unwrap()).unwrap();

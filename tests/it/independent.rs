@@ -11,31 +11,25 @@ use palpate::rig::registry::open;
 
 use crate::support::{self, Process, VIRTUAL_RIG};
 
-struct Server {
-    _process: Process,
-    port: u16,
-}
-
-impl Server {
-    fn start(python: &str) -> Self {
-        let script = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/it/independent/adam_6017.py");
-        let mut process = Command::new(python)
-            .args(["-W", "ignore", script])
-            .stdin(Stdio::piped())
-            .stdout(Stdio::piped())
-            .spawn()
-            .unwrap();
-        let mut line = String::new();
-        BufReader::new(process.stdout.take().unwrap()).read_line(&mut line).unwrap();
-        Self { _process: Process(process), port: line.trim().parse().unwrap() }
-    }
+/// Starts the server; returns it with its port.
+fn server(python: &str) -> (Process, u16) {
+    let script = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/it/independent/adam_6017.py");
+    let mut process = Command::new(python)
+        .args(["-W", "ignore", script])
+        .stdin(Stdio::piped())
+        .stdout(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let mut line = String::new();
+    BufReader::new(process.stdout.take().unwrap()).read_line(&mut line).unwrap();
+    (Process(process), line.trim().parse().unwrap())
 }
 
 #[tokio::test]
 async fn the_adam_driver_reads_a_server_of_another_make() {
     let Some(python) = support::python("pymodbus.server") else { return };
-    let server = Server::start(&python);
-    let text = VIRTUAL_RIG.replace("127.0.0.1:5021", &format!("127.0.0.1:{}", server.port));
+    let (_server, port) = server(&python);
+    let text = VIRTUAL_RIG.replace("127.0.0.1:5021", &format!("127.0.0.1:{port}"));
     let config = RigConfig::from_toml("virtual.toml", &text).unwrap();
     let bench = open(&config, &Clock::new(1.0), &StopLatch::new()).unwrap().bench;
     let found = bench.cells.prepare().await.unwrap();

@@ -10,7 +10,7 @@ use tokio::time::timeout;
 
 use crate::datasets::filled::Filled;
 use crate::old_data::{HALF, WHOLE, open, recorded, served};
-use crate::support::{self, Process};
+use crate::support::{self, Process, not_done};
 
 /// Longest wait for anything.
 const LIMIT: Duration = Duration::from_secs(30);
@@ -35,10 +35,11 @@ fn told(url: &str, arguments: &[&str]) -> Value {
     serde_json::from_str(&said(url, &[arguments, &["--json"]].concat())).unwrap()
 }
 
-/// Exit code and message of a command that is refused.
-fn refused(url: &str, arguments: &[&str]) -> (i32, String) {
-    let Output { status, stderr, .. } = command(url, arguments).output().unwrap();
-    (status.code().unwrap(), String::from_utf8(stderr).unwrap())
+/// A command that must be refused with this exit code, in these words; returns its whole message.
+fn refused(url: &str, arguments: &[&str], code: i32, words: &str) -> String {
+    let output = command(url, arguments).output().unwrap();
+    not_done(&output, code, words);
+    String::from_utf8(output.stderr).unwrap()
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -69,10 +70,8 @@ async fn runs_are_listed_newest_first_and_found_by_number_start_of_the_id_and_la
         some["items"].as_array().unwrap().iter().map(|r| r["scan_id"].as_i64().unwrap()).collect();
     assert_eq!(numbers, [3, 1]);
     assert!(said(&url, &["runs", "--experiment", "nothing"]).contains("no run fits"));
-    let (code, why) = refused(&url, &["runs", "3"]);
-    assert!(code == 2 && why.contains("palpate show 3 shows one run"), "{code}: {why}");
-    let (code, why) = refused(&url, &["runs", "--state", "succes"]);
-    assert!(code == 2 && why.contains("; did you mean `success`?"), "{code}: {why}");
+    refused(&url, &["runs", "3"], 2, "palpate show 3 shows one run");
+    refused(&url, &["runs", "--state", "succes"], 2, "; did you mean `success`?");
     let by_condition = told(&url, &["runs", "exit_status=success|state=queued"]);
     assert_eq!(by_condition["items"], some["items"]);
 
@@ -81,15 +80,11 @@ async fn runs_are_listed_newest_first_and_found_by_number_start_of_the_id_and_la
         assert_eq!(told(&url, &["show", name])["summary"]["run"]["uid"], uid, "{name}");
     }
     assert_eq!(told(&url, &["show", "last"])["summary"]["run"]["scan_id"], 3);
-    let (code, why) = refused(&url, &["show", &uid[..4]]);
-    assert!(code == 2 && why.contains("3 runs begin like this"), "{code}: {why}");
+    let why = refused(&url, &["show", &uid[..4]], 2, "3 runs begin like this");
     assert!(why.contains("their numbers: 3, 2, 1"), "{why}");
-    let (code, why) = refused(&url, &["show", "99"]);
-    assert!(code == 1 && why.contains("no run 99: palpate runs lists all"), "{code}: {why}");
-    let (code, why) = refused(&url, &["show", "ffff"]);
-    assert!(code == 1 && why.contains("no run ffff: palpate runs lists all"), "{code}: {why}");
-    let (code, why) = refused(&url, &["show", "the last"]);
-    assert!(code == 2 && why.contains("number, start of the id"), "{code}: {why}");
+    refused(&url, &["show", "99"], 1, "no run 99: palpate runs lists all");
+    refused(&url, &["show", "ffff"], 1, "no run ffff: palpate runs lists all");
+    refused(&url, &["show", "the last"], 2, "number, start of the id");
 }
 
 async fn trials_are_listed_by_the_conditions_of_the_api(lab: &Filled) {
@@ -108,8 +103,7 @@ async fn trials_are_listed_by_the_conditions_of_the_api(lab: &Filled) {
     assert_eq!((found["items"].as_array().unwrap().len(), &found["all"]), (deep, &json!(true)));
     assert_eq!(told(&url, &["trials", "last"])["items"], json!([]), "the queued run has none");
     assert!(said(&url, &["trials", "last"]).contains("no trial fits"));
-    let (code, why) = refused(&url, &["trials", "1", "colour=red"]);
-    assert!(code == 2 && why.contains("colour"), "{code}: {why}");
+    refused(&url, &["trials", "1", "colour=red"], 2, "colour");
 }
 
 async fn a_run_and_a_trial_are_drawn_as_plain_text_without_a_terminal(lab: &Filled) {
@@ -132,11 +126,7 @@ async fn a_run_and_a_trial_are_drawn_as_plain_text_without_a_terminal(lab: &Fill
     let frame = drawn.lines().skip_while(|line| !line.starts_with("measured  ")).count();
     assert_eq!(frame, 1 + 28 + 1, "a title, 28 rows and the scale: {drawn}");
     assert_eq!(told(&url, &["show", &id])["voltages_v"].as_array().unwrap().len(), 784);
-    let (code, why) = refused(&url, &["show", "t99999"]);
-    assert!(
-        code == 1 && why.contains("no trial t99999: palpate trials lists all"),
-        "{code}: {why}"
-    );
+    refused(&url, &["show", "t99999"], 1, "no trial t99999: palpate trials lists all");
 
     let lines = |what: &str, part: &str| -> Vec<Value> {
         let text = said(&url, &["show", what, "--raw", part]);
@@ -158,8 +148,7 @@ async fn a_run_and_a_trial_are_drawn_as_plain_text_without_a_terminal(lab: &Fill
     assert_eq!(Some(printed.len()), frames["items"].as_array().map(Vec::len));
     assert_eq!(printed[0]["counts"], frames["items"][0]["counts"]);
     for (what, part) in [("1", "frames"), (id.as_str(), "plan")] {
-        let (code, why) = refused(&url, &["show", what, "--raw", part]);
-        assert!(code == 2 && why.contains("must be a "), "{code}: {why}");
+        refused(&url, &["show", what, "--raw", part], 2, "must be a ");
     }
     let queued = said(&url, &["show", "3"]);
     assert!(queued.contains("queued") && queued.contains("0 of"), "{queued}");
@@ -182,8 +171,8 @@ async fn events_are_selected_by_kind_and_followed_as_they_happen() {
     assert_eq!(heads, ["time", "kind", "run", "event"]);
     assert!(several.lines().any(|line| line.contains("  ended    1  run ended")), "{several}");
     assert_eq!(said(&url, &["events", "--since", "0s", "--kind", "trip"]), "no event fits\n");
-    let (code, why) = refused(&url, &["events", "--kind", "ended,tripp"]);
-    assert!(code == 2 && why.contains("--kind = tripp: must be one of trip, "), "{code}: {why}");
+    let words = "--kind = tripp: must be one of trip, ";
+    let why = refused(&url, &["events", "--kind", "ended,tripp"], 2, words);
     assert!(why.contains("; did you mean `trip`?"), "{why}");
     let page = lab.get("/api/v1/events?kind=ended&run=1&limit=1").await;
     assert_eq!(page["items"][0]["kind"], "ended");

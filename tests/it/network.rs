@@ -209,10 +209,7 @@ fn commands_on_the_same_machine_find_a_service_with_tls() {
 async fn keys_may_be_required_on_loopback_but_never_for_a_stop() {
     let lab = Filled::serve(folder("require-key")).await;
     let (_, secret) = lab.key("ada", "operator").await;
-    let lab = Filled::serve_as(lab.end().await, |options| {
-        (options.local_admin, options.require_key) = (false, true);
-    })
-    .await;
+    let lab = Filled::serve_keys(lab.end().await).await;
     lab.refuses_get("/api/v1/status", 401, "--require-key").await;
     let asked = lab.http.get(lab.url("/api/v1/status")).bearer_auth(&secret).send();
     assert_eq!(asked.await.unwrap().status(), 200);

@@ -6,13 +6,12 @@ use std::time::{Duration, Instant};
 
 use reqwest::Response;
 use serde_json::{Value, json};
-use sqlx::sqlite::SqliteConnectOptions;
-use sqlx::{ConnectOptions, Connection};
+use sqlx::Connection;
 use tokio::io::AsyncWriteExt;
 use tokio::net::TcpStream;
 
 use crate::datasets::filled::{Filled, folder};
-use crate::support::SENSOR;
+use crate::support::{SENSOR, database};
 
 const QUEUE: &str = "/api/v1/queue";
 const QUICKSTART: &str = include_str!("../../experiments/quickstart.toml");
@@ -103,8 +102,7 @@ async fn two_requests_at_once_give_one_run() {
 
 /// Removes the responses, as if the service had been killed before it could store them.
 async fn forget_responses(data: &Path) {
-    let options = SqliteConnectOptions::new().filename(data.join("palpate.db"));
-    let mut connection = options.connect().await.unwrap();
+    let mut connection = database(data).await;
     let statement = "UPDATE requests_once SET status = NULL, body = NULL";
     assert_eq!(sqlx::query(statement).execute(&mut connection).await.unwrap().rows_affected(), 1);
     connection.close().await.unwrap();

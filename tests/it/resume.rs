@@ -1,49 +1,20 @@
 //! `palpate resume` of a paused run: on a real rig it asks whether the rig is clear, as at the start of a run.
 
-use std::io::{BufRead, BufReader, Read, Write};
-use std::net::{TcpListener, TcpStream};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
-use std::thread;
 
 use serde_json::json;
 
-use crate::support::command;
+use crate::support::{command, false_service};
 
 /// A service whose rig, with this label, has a paused run; counts the actions that are requested of it.
 fn service(label: &'static str) -> (String, Arc<AtomicUsize>) {
-    let door = TcpListener::bind("127.0.0.1:0").unwrap();
-    let url = format!("http://{}", door.local_addr().unwrap());
     let actions = Arc::<AtomicUsize>::default();
     let counted = actions.clone();
-    thread::spawn(move || {
-        for wire in door.incoming() {
-            answer(wire.unwrap(), label, &counted);
-        }
-    });
-    (url, actions)
-}
-
-fn answer(wire: TcpStream, label: &str, actions: &AtomicUsize) {
-    let mut reader = BufReader::new(wire);
-    let mut head = Vec::new();
-    loop {
-        let mut line = String::new();
-        if reader.read_line(&mut line).unwrap() == 0 {
-            return;
-        }
-        if line == "\r\n" {
-            break;
-        }
-        head.push(line.to_lowercase());
-    }
-    let length = head.iter().find_map(|line| line.strip_prefix("content-length: "));
-    let mut body = vec![0; length.map_or(0, |n| n.trim().parse().unwrap())];
-    reader.read_exact(&mut body).unwrap();
-    let body = match head[0].as_str() {
+    let url = false_service(move |request| match request {
         probe if probe.starts_with("get /health/live") => json!({ "service": "palpate" }),
         action if action.starts_with("post ") => {
-            actions.fetch_add(1, Ordering::SeqCst);
+            counted.fetch_add(1, Ordering::SeqCst);
             json!({})
         }
         _ => json!({
@@ -58,14 +29,8 @@ fn answer(wire: TcpStream, label: &str, actions: &AtomicUsize) {
             "queue_length": 0,
             "suspenders": [],
         }),
-    };
-    let body = body.to_string();
-    let length = body.len();
-    let answer = format!(
-        "HTTP/1.1 200 OK\r\nconnection: close\r\ncontent-type: application/json\r\n\
-         content-length: {length}\r\n\r\n{body}"
-    );
-    reader.get_mut().write_all(answer.as_bytes()).unwrap();
+    });
+    (url, actions)
 }
 
 #[test]

@@ -1,8 +1,9 @@
-//! What several tests need: the sensor, a folder and its files, commands, a service as a process, Python.
+//! What several tests need: the sensor, a folder and its files, commands, a service as a process, a false one, Python.
 
 use std::collections::BTreeMap;
 use std::fmt::Debug;
-use std::io::{BufRead, BufReader};
+use std::io::{BufRead, BufReader, Read, Write};
+use std::net::TcpListener;
 use std::ops::Deref;
 use std::path::Path;
 use std::process::{Command, Output, Stdio};
@@ -14,8 +15,8 @@ use sim_core::sensor::Sensor;
 use tempfile::TempDir;
 
 pub use crate::common::{
-    Process, SENSOR, answered, http, is_refused, left_out, serve_options, skin_cache, until,
-    with_responses,
+    Process, SENSOR, answered, database, execute, http, is_refused, left_out, serve_options,
+    signal, skin_cache, until, with_extension, with_responses,
 };
 
 pub const PALPATE: &str = env!("CARGO_BIN_EXE_palpate");
@@ -62,6 +63,28 @@ pub fn served(serve: &mut Command) -> (Process, String) {
     let url = line.split_whitespace().find(|word| word.starts_with("http")).unwrap();
     let url = url.trim_end_matches(',').to_owned();
     (served, url)
+}
+
+/// A false service: `body` makes the answer of a request, whose first line it gets in lower case. Returns its URL.
+pub fn false_service(body: impl Fn(&str) -> Value + Send + 'static) -> String {
+    let door = TcpListener::bind("127.0.0.1:0").unwrap();
+    let url = format!("http://{}", door.local_addr().unwrap());
+    std::thread::spawn(move || {
+        for wire in door.incoming() {
+            let mut wire = BufReader::new(wire.unwrap());
+            let lines = wire.by_ref().lines().map(|line| line.unwrap().to_lowercase());
+            let head: Vec<String> = lines.take_while(|line| !line.is_empty()).collect();
+            let Some(first) = head.first() else { continue };
+            let length = head.iter().find_map(|line| line.strip_prefix("content-length: "));
+            let mut sent = vec![0; length.map_or(0, |length| length.parse().unwrap())];
+            wire.read_exact(&mut sent).unwrap();
+            let body = body(first).to_string();
+            let head = "HTTP/1.1 200 OK\r\nconnection: close\r\ncontent-type: application/json";
+            let answer = format!("{head}\r\ncontent-length: {}\r\n\r\n{body}", body.len());
+            wire.get_mut().write_all(answer.as_bytes()).unwrap();
+        }
+    });
+    url
 }
 
 /// A command of the program, without the environment of the tests.

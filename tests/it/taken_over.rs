@@ -4,22 +4,11 @@ use std::io::{BufRead, BufReader};
 use std::process::Stdio;
 use std::time::Duration;
 
-use sqlx::sqlite::SqliteConnectOptions;
-use sqlx::{ConnectOptions, Connection};
-
 use crate::old_data::{copy, open};
-use crate::support::{Folder, answered, command, http, served, until};
+use crate::support::{answered, command, execute, http, served, until};
 
 /// Longest wait for the mark of a run.
 const LIMIT: Duration = Duration::from_secs(60);
-
-/// Carries out statements behind the service.
-async fn execute(folder: &Folder, statements: &'static str) {
-    let options = SqliteConnectOptions::new().filename(folder.join("palpate.db"));
-    let mut connection = options.connect().await.unwrap();
-    sqlx::raw_sql(statements).execute(&mut connection).await.unwrap();
-    connection.close().await.unwrap();
-}
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_folder_is_taken_over_although_its_database_refuses_writes_at_first() {

@@ -12,12 +12,12 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use reqwest::multipart::{Form, Part};
 use serde_json::{Value, json};
-use sqlx::sqlite::SqliteConnectOptions;
-use sqlx::{ConnectOptions, Connection};
+use sqlx::Connection;
 
 use crate::datasets::filled::{Filled, end, folder, new_run, points, press, store, twin_model};
 use crate::support::{
-    VIRTUAL_RIG, answered, command, copy_folder, done, finished, not_done, with_responses,
+    VIRTUAL_RIG, answered, command, copy_folder, database, done, finished, is_refused, not_done,
+    with_extension, with_responses,
 };
 
 /// Number of trials of the run, and of a chunk.
@@ -57,19 +57,15 @@ async fn gather(lab: &Filled, order: &str) -> Output {
     palpate(&["cluster", "gather", order, "--json", "--url", &lab.url("")]).await
 }
 
-/// Sends a file of twins to a run: the status and the words of the refusal.
-async fn refused(lab: &Filled, run: &str, file: Vec<u8>) -> (u16, String) {
+/// Sends a file of twins to a run, which must be refused in these words.
+async fn refused(lab: &Filled, run: &str, file: Vec<u8>, words: &str) {
     let form = Form::new().part("file", Part::bytes(file).file_name("chunk"));
     let url = lab.url(&format!("/api/v1/runs/{run}/twins"));
-    let (status, body) = answered(lab.http.post(url).multipart(form)).await;
-    (status, body["detail"].as_str().unwrap_or_default().to_owned())
+    is_refused(answered(lab.http.post(url).multipart(form)).await, 422, words);
 }
 
 fn any_chunk(order: &str) -> Vec<u8> {
-    let results = std::fs::read_dir(Path::new(order).join("results")).unwrap();
-    let mut paths = results.map(|entry| entry.unwrap().path());
-    let chunk = paths.find(|path| path.extension().is_some_and(|ending| ending == "parquet"));
-    std::fs::read(chunk.unwrap()).unwrap()
+    std::fs::read(&with_extension(&Path::new(order).join("results"), "parquet")[0]).unwrap()
 }
 
 /// A trial with its twin, as it is stored.
@@ -169,10 +165,8 @@ async fn twins_of_two_processes_are_those_of_the_service() {
     let inputs = lab.get(&format!("/api/v1/runs/2/twins/inputs?after={}", TRIALS + 40)).await;
     assert_eq!((&inputs["trials"], &inputs["next"]), (&json!(4), &Value::Null));
     lab.refuses_get("/api/v1/runs/2/twins/inputs?limit=0", 400, "must be from 1 to 10000").await;
-    let (status, words) = refused(&lab, "2", any_chunk(order)).await;
-    assert!(status == 422 && words.contains("is of run"), "{status} {words}");
-    let (status, words) = refused(&lab, "1", b"no Parquet".to_vec()).await;
-    assert!(status == 422 && words.contains("cannot be read"), "{status} {words}");
+    refused(&lab, "2", any_chunk(order), "is of run").await;
+    refused(&lab, "1", b"no Parquet".to_vec(), "cannot be read").await;
     assert_eq!(lab.get("/api/v1/runs/2/twins").await["pending"], TRIALS);
 
     let gathered = gather(&lab, order).await;
@@ -196,8 +190,7 @@ async fn a_damaged_trial_keeps_no_other_run_from_its_twins() {
     // Of the newest run, which gets its twins first.
     pressed(&data).await;
     with_responses(&data);
-    let options = SqliteConnectOptions::new().filename(data.join("palpate.db"));
-    let mut file = options.connect().await.unwrap();
+    let mut file = database(&data).await;
     let first = i64::from(TRIALS) + 1;
     let damage = "UPDATE trial_voltages SET voltages_v = zeroblob(3136) WHERE trial = ?1";
     let damaged = sqlx::query(damage).bind(first).execute(&mut file).await.unwrap();

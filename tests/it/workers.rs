@@ -8,9 +8,10 @@ use std::process::Command;
 use std::time::Duration;
 
 use reqwest::Method;
+use rustix::process::Signal;
 use serde_json::{Value, json};
 
-use crate::support::{Folder, PALPATE, answered, eventually, http, is_refused, served};
+use crate::support::{Folder, PALPATE, answered, eventually, http, is_refused, served, signal};
 
 /// Longest wait for anything.
 const LIMIT: Duration = Duration::from_secs(60);
@@ -69,8 +70,7 @@ async fn a_service_submits_cancels_and_gathers_and_its_gather_ends_with_it() {
     let fetching = eventually("the script fetches", LIMIT, fetching).await;
     let fetching = Path::new("/proc").join(fetching.trim());
     assert!(fetching.exists());
-    let id = service.0.id().to_string();
-    assert!(Command::new("kill").args(["-TERM", &id]).status().unwrap().success());
+    signal(&service.0, Signal::TERM);
     let ended = async || service.0.try_wait().unwrap();
     let ended = eventually("the service ends", LIMIT, ended).await;
     assert!(ended.success(), "{ended}");

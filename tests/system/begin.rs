@@ -9,17 +9,13 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use parking_lot::Mutex;
-use rustix::process::{Pid, Signal, kill_process};
+use rustix::process::Signal;
 use serde_json::{Value, json};
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::{TcpListener, TcpStream};
 
-use super::bench::{Lab, Process, WAITS, rig_args};
+use super::bench::{Lab, ONE_TIP, Process, WAITS, rig_args, signal};
 use super::campaign::SPEED;
-
-/// 66 trials with one tip.
-const EXPERIMENT: &str = "name = \"begins\"\nseed = 1\nsensor = \"sensors/ert-28.toml\"\n\
-    [real_hex]\ntips = [1]\nconfigurations = 6\nblock = 6\nreference_every = 6\n";
 
 /// A wire to a service: what was requested on it, and its URL. A connection on which a start is requested gets no answer
 /// from then on.
@@ -71,16 +67,15 @@ async fn carry(client: TcpStream, service: TcpStream, requested: Arc<Mutex<Strin
 
 #[tokio::test(flavor = "multi_thread")]
 async fn ctrl_c_as_a_stopped_run_resumes_stops_it_again() {
-    let lab = Lab::open("left-as-it-began", rig_args("virtual", 20.0), WAITS).await;
-    lab.home().await;
-    let run = lab.begin(EXPERIMENT).await;
+    let lab = Lab::homed("left-as-it-began", 20.0, WAITS).await;
+    let run = lab.begin(ONE_TIP).await;
     lab.stored(1).await;
     lab.accepts(&run, json!({ "action": "stop" })).await;
     lab.ended(&run).await;
     let is_free = |s: &Value| s["run"].is_null() && s["rig"]["state"] == "homed";
     lab.until("the end of the run", is_free).await;
 
-    std::fs::write(lab.data.join("e.toml"), EXPERIMENT).unwrap();
+    std::fs::write(lab.data.join("e.toml"), ONE_TIP).unwrap();
     let (url, requested) = wire(&lab.service.url()).await;
     let mut command = Command::new(env!("CARGO_BIN_EXE_palpate"));
     command.args(["run", "e.toml", "--json", "--url", &url]).current_dir(&lab.data);
@@ -88,7 +83,7 @@ async fn ctrl_c_as_a_stopped_run_resumes_stops_it_again() {
     let mut resumes = Process(command.spawn().unwrap());
     let row = format!("/api/v1/runs/{run}");
     lab.eventually("the run again", &row, |row| row["state"] == "running").await;
-    kill_process(Pid::from_raw(resumes.0.id().cast_signed()).unwrap(), Signal::INT).unwrap();
+    signal(&resumes.0, Signal::INT);
     let ended = tokio::task::block_in_place(|| resumes.0.wait()).unwrap();
     assert_eq!(ended.code(), Some(1));
     lab.eventually("its end", &row, |row| row["state"] == "ended").await;
@@ -139,7 +134,7 @@ async fn a_homing_that_another_person_aborts_is_over_for_its_command_which_names
 /// A command for which the rig homes is left meanwhile: the homing ends.
 async fn left_as_it_homes(lab: &Lab, command_args: &[&str]) {
     let mut homes = homes(lab, command_args).await;
-    kill_process(Pid::from_raw(homes.0.id().cast_signed()).unwrap(), Signal::INT).unwrap();
+    signal(&homes.0, Signal::INT);
     let ended = tokio::task::block_in_place(|| homes.0.wait()).unwrap();
     assert_eq!(ended.code(), Some(1));
     lab.ends_safely().await;
@@ -147,10 +142,8 @@ async fn left_as_it_homes(lab: &Lab, command_args: &[&str]) {
 
 /// Starts a command for which the rig homes, until its request is accepted.
 async fn homes(lab: &Lab, command_args: &[&str]) -> Process {
-    // Its homing lasts until the limit of twelve seconds, and trips then.
-    lab.tell_rig(json!({ "cmd": "fault", "kind": "stuck_axis", "device": "x", "for_s": 6000.0 }))
-        .await;
-    std::fs::write(lab.data.join("e.toml"), EXPERIMENT).unwrap();
+    lab.stick_x().await;
+    std::fs::write(lab.data.join("e.toml"), ONE_TIP).unwrap();
     let mut command = Command::new(env!("CARGO_BIN_EXE_palpate"));
     command.args(command_args).args(["--json", "--url", &lab.service.url()]);
     command.current_dir(&lab.data);

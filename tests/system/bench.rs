@@ -13,11 +13,16 @@ use virtual_rig::{OperatorArgs, operator_main};
 
 use crate::common::serve_options;
 pub use crate::common::{
-    Process, SENSOR, answered, http, is_refused, left_out, skin_cache, until, with_responses,
+    Process, SENSOR, answered, database, execute, http, is_refused, left_out, signal, skin_cache,
+    until, with_extension, with_responses,
 };
 
 /// Longest wait for anything that a test waits for.
 pub const LIMIT: Duration = Duration::from_secs(120);
+
+/// An experiment of 66 trials with one tip, named `one-tip`.
+pub const ONE_TIP: &str = "name = \"one-tip\"\nseed = 1\nsensor = \"sensors/ert-28.toml\"\n\
+    [real_hex]\ntips = [1]\nconfigurations = 6\nblock = 6\nreference_every = 6\n";
 
 /// A file of `experiments/`.
 pub fn file(name: &str) -> PathBuf {
@@ -80,6 +85,13 @@ pub async fn tell_at(control: &str, command: Value) -> Value {
     serde_json::from_str(&reply).unwrap()
 }
 
+/// A line for the control socket: a fault that begins at once, with what else it states.
+pub fn fault(kind: &str, device: &str, more: Value) -> Value {
+    let mut fault = json!({ "cmd": "fault", "kind": kind, "device": device });
+    fault.as_object_mut().unwrap().extend(more.as_object().unwrap().clone());
+    fault
+}
+
 /// Everything of one test; its folder goes with it.
 pub struct Lab {
     /// Switched on.
@@ -97,6 +109,13 @@ impl Lab {
         let speed = args.options.speed.unwrap();
         let lab = Self::open_alone(name, args, share).await;
         lab.call_operator(speed);
+        lab
+    }
+
+    /// Switches everything on, with a virtual rig of this speed, and homes.
+    pub async fn homed(name: &str, speed: f64, share: u32) -> Self {
+        let lab = Self::open(name, rig_args("virtual", speed), share).await;
+        lab.home().await;
         lab
     }
 
@@ -271,6 +290,16 @@ impl Lab {
     /// Sends a line to the control socket, as a hand would.
     pub async fn tell_rig(&self, command: Value) {
         tell(&self.rig, command).await;
+    }
+
+    /// A fault of the rig that begins at once.
+    pub async fn fault(&self, kind: &str, device: &str, more: Value) {
+        self.tell_rig(fault(kind, device, more)).await;
+    }
+
+    /// Sticks x: the next homing lasts until its limit of twelve seconds.
+    pub async fn stick_x(&self) {
+        self.fault("stuck_axis", "x", json!({ "for_s": 6000.0 })).await;
     }
 
     /// Waits until a run has stored `n` trials.

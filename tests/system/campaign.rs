@@ -6,10 +6,9 @@ use std::time::Duration;
 use jiff::{SignedDuration, Timestamp};
 use palpate::digest::sha256_hex;
 use serde_json::{Value, json};
-use sqlx::sqlite::SqliteConnectOptions;
-use sqlx::{ConnectOptions, Connection};
+use sqlx::Connection;
 
-use super::bench::{Lab, SENSOR, WAITS, WHOLE, http, rig_args};
+use super::bench::{Lab, SENSOR, WAITS, WHOLE, database, http, rig_args};
 
 /// Two settings of three configurations and four depths: 24 trials.
 pub(super) const SMALL: &str = "name = 'small'\nseed = 5\nsensor = 's'\n[real_hex]\ntips = [1, 4]\n\
@@ -19,15 +18,16 @@ const TRIALS: usize = 24;
 /// Process seconds in a wall second.
 pub(super) const SPEED: f64 = 20.0;
 
-pub(super) async fn started(name: &str) -> (Lab, String) {
-    started_at(name, SPEED).await
+/// A run that has stored `trials`.
+pub(super) async fn started(name: &str, trials: u64) -> (Lab, String) {
+    started_at(name, SPEED, trials).await
 }
 
 /// As [`started`], with the process seconds in a wall second.
-async fn started_at(name: &str, speed: f64) -> (Lab, String) {
-    let lab = Lab::open(name, rig_args("virtual", speed), WAITS).await;
-    lab.home().await;
+async fn started_at(name: &str, speed: f64, trials: u64) -> (Lab, String) {
+    let lab = Lab::homed(name, speed, WAITS).await;
     let run = lab.begin(SMALL).await;
+    lab.stored(trials).await;
     (lab, run)
 }
 
@@ -53,7 +53,7 @@ fn kinds(events: &Value) -> Vec<&str> {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_small_campaign_stores_every_planned_trial_once() {
-    let (lab, run) = started("small").await;
+    let (lab, run) = started("small", 0).await;
     let summary = complete(&lab, &run).await;
     assert_eq!(summary["settings"], json!([{"tips": 1, "stored": 12}, {"tips": 4, "stored": 12}]));
     assert_eq!(summary["retries"], 0);
@@ -95,8 +95,7 @@ async fn every_trial_has_its_twin(lab: &Lab, run: &str) {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_run_pauses_and_goes_on_and_what_its_state_forbids_is_refused() {
-    let (lab, run) = started("pause").await;
-    lab.stored(3).await;
+    let (lab, run) = started("pause", 3).await;
     let act = |action: Value| lab.act(&run, action);
     assert_eq!(act(json!({ "action": "pause", "who": "eve", "why": "lunch" })).await.0, 202);
     let raised = |s: &Value| s["rig"]["pose"]["z_mm"].as_f64().is_some_and(|z| z < 60.0);
@@ -123,8 +122,7 @@ async fn a_run_pauses_and_goes_on_and_what_its_state_forbids_is_refused() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn stop_and_abort_end_a_run_short_of_its_plan_and_it_resumes_with_what_is_missing() {
-    let (lab, run) = started("stop").await;
-    lab.stored(2).await;
+    let (lab, run) = started("stop", 2).await;
     lab.accepts(&run, json!({ "action": "stop" })).await;
     let summary = lab.ended(&run).await;
     assert_eq!(summary["run"]["exit_status"], "stopped");
@@ -154,7 +152,7 @@ async fn stop_and_abort_end_a_run_short_of_its_plan_and_it_resumes_with_what_is_
 
 #[tokio::test(flavor = "multi_thread")]
 async fn no_run_begins_by_itself_after_one_that_was_ended_while_it_was_halted() {
-    let (lab, run) = started("halted").await;
+    let (lab, run) = started("halted", 0).await;
     let next = lab.begin(SMALL).await;
     lab.stored(2).await;
     lab.accepts(&run, json!({ "action": "pause", "when": "now" })).await;
@@ -170,8 +168,7 @@ async fn no_run_begins_by_itself_after_one_that_was_ended_while_it_was_halted() 
 
 #[tokio::test(flavor = "multi_thread")]
 async fn an_emergency_stop_latches_until_a_person_resets_and_loses_nothing() {
-    let (lab, run) = started("estop").await;
-    lab.stored(5).await;
+    let (lab, run) = started("estop", 5).await;
     lab.posted("/estop", json!({ "why": "smoke" })).await;
     let tripped = lab.until("a trip", |s| s["run"]["paused_why"] == "trip").await;
     assert_eq!(tripped["rig"]["state"], "tripped", "{tripped:#}");
@@ -186,8 +183,7 @@ async fn an_emergency_stop_latches_until_a_person_resets_and_loses_nothing() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_service_that_was_ended_in_the_middle_goes_on_by_itself() {
-    let (lab, run) = started("restart").await;
-    lab.stored(5).await;
+    let (lab, run) = started("restart", 5).await;
     let lab = lab.restart().await;
     let summary = complete(&lab, &run).await;
     assert_eq!(summary["retries"], 0, "what was under way is not a failure");
@@ -197,8 +193,7 @@ async fn a_service_that_was_ended_in_the_middle_goes_on_by_itself() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_run_that_this_version_would_plan_differently_does_not_resume() {
-    let (lab, run) = started("plan").await;
-    lab.stored(3).await;
+    let (lab, run) = started("plan", 3).await;
     let kept = lab.get(&format!("/api/v1/runs/{run}/plan")).await;
     assert_eq!(kept["steps"][0]["step"], "tip-change", "{kept:#}");
     plan_of_another_version(&lab, &run).await;
@@ -225,12 +220,10 @@ async fn a_run_that_this_version_would_plan_differently_does_not_resume() {
 
 /// A service that was restarted during a run, which a lock holds that was taken after its last trial.
 pub(super) async fn held_by_a_lock(name: &str) -> (Lab, String) {
-    let (lab, run) = started(name).await;
-    lab.stored(5).await;
+    let (lab, run) = started(name, 5).await;
     let taken = http().put(lock(&lab)).json(&json!({ "note": "hands" })).send().await.unwrap();
     assert!(taken.status().is_success());
-    let file = SqliteConnectOptions::new().filename(lab.data.join("palpate.db"));
-    let mut database = file.connect().await.unwrap();
+    let mut database = database(&lab.data).await;
     // Whatever is still stored before the service ends is earlier.
     sqlx::query("UPDATE operator_lock SET since = ?1")
         .bind((Timestamp::now() + SignedDuration::from_hours(1)).to_string())
@@ -282,8 +275,7 @@ async fn a_run_that_is_about_to_be_driven_again_can_be_aborted() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_stopped_run_whose_rig_homes_when_the_service_ends_does_not_go_on_by_itself() {
-    let (lab, run) = started("homing").await;
-    lab.stored(2).await;
+    let (lab, run) = started("homing", 2).await;
     lab.posted("/estop", json!({ "why": "smoke" })).await;
     lab.until("acknowledged", |s| s["rig"]["estop_acknowledged_ms"].is_number()).await;
     lab.until("a trip", |s| s["run"]["paused_why"] == "trip").await;
@@ -298,8 +290,7 @@ async fn a_stopped_run_whose_rig_homes_when_the_service_ends_does_not_go_on_by_i
 #[tokio::test(flavor = "multi_thread")]
 async fn an_e_stop_while_the_service_ends_is_known_to_the_next_process() {
     // Slow enough that the raise of the tips outlasts the delay of the request.
-    let (lab, run) = started_at("ending", 3.0).await;
-    lab.stored(2).await;
+    let (lab, run) = started_at("ending", 3.0, 2).await;
     let address = format!("{}/api/v1/estop", lab.service.url());
     let client = http();
     let stop = tokio::spawn(async move {
@@ -316,8 +307,7 @@ async fn an_e_stop_while_the_service_ends_is_known_to_the_next_process() {
 
 /// Replaces the plan of a run, as if an earlier version had planned one skip more.
 async fn plan_of_another_version(lab: &Lab, run: &str) {
-    let file = SqliteConnectOptions::new().filename(lab.data.join("palpate.db"));
-    let mut database = file.connect().await.unwrap();
+    let mut database = database(&lab.data).await;
     let plan: String = sqlx::query_scalar(
         "SELECT p.plan FROM plans p JOIN runs r ON r.plan_sha256 = p.sha256 WHERE r.uid = ?1",
     )
@@ -345,7 +335,7 @@ async fn plan_of_another_version(lab: &Lab, run: &str) {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_run_that_waits_for_its_turn_keeps_it_through_a_restart() {
-    let (lab, first) = started("turns").await;
+    let (lab, first) = started("turns", 0).await;
     let second = lab.begin(SMALL).await;
     let row = lab.get(&format!("/api/v1/runs/{second}")).await;
     assert!(row["waiting_since"].is_string() && row["state"] == "queued", "{row:#}");
@@ -376,8 +366,7 @@ async fn began_in_time(lab: &Lab, run: &str) {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_run_begins_when_its_time_has_come_and_holds_up_no_other() {
-    let lab = Lab::open("early", rig_args("virtual", SPEED), WAITS).await;
-    lab.home().await;
+    let lab = Lab::homed("early", SPEED, WAITS).await;
     let early = started_early(&lab, 8).await;
     let next = lab.begin(SMALL).await;
     complete(&lab, &next).await;
@@ -387,8 +376,7 @@ async fn a_run_begins_when_its_time_has_come_and_holds_up_no_other() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn after_a_restart_the_rig_is_brought_up_when_a_run_is_due() {
-    let lab = Lab::open("early-restart", rig_args("virtual", SPEED), WAITS).await;
-    lab.home().await;
+    let lab = Lab::homed("early-restart", SPEED, WAITS).await;
     let early = started_early(&lab, 12).await;
     let lab = lab.restart().await;
     let status = lab.get("/api/v1/status").await;
@@ -399,17 +387,11 @@ async fn after_a_restart_the_rig_is_brought_up_when_a_run_is_due() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn bad_wires_are_retried_then_trip_and_the_run_goes_on_by_itself() {
-    let (lab, run) = started("faults").await;
-    lab.stored(2).await;
-    let fault = |kind: &str, device: &str, more: Value| {
-        let mut fault = json!({ "cmd": "fault", "kind": kind, "device": device });
-        fault.as_object_mut().unwrap().extend(more.as_object().unwrap().clone());
-        fault
-    };
-    lab.tell_rig(fault("no_reply", "z", json!({ "count": 1, "executed": true }))).await;
-    lab.tell_rig(fault("flip_bytes", "ert", json!({ "count": 3 }))).await;
+    let (lab, run) = started("faults", 2).await;
+    lab.fault("no_reply", "z", json!({ "count": 1, "executed": true })).await;
+    lab.fault("flip_bytes", "ert", json!({ "count": 3 })).await;
     lab.stored(5).await;
-    lab.tell_rig(fault("disconnect", "stage", json!({ "for_s": 120.0 }))).await;
+    lab.fault("disconnect", "stage", json!({ "for_s": 120.0 })).await;
     lab.until("a trip", |s| s["run"]["paused_why"] == "trip").await;
     complete(&lab, &run).await;
     let events = lab.events().await;
@@ -419,8 +401,7 @@ async fn bad_wires_are_retried_then_trip_and_the_run_goes_on_by_itself() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn weights_are_placed_confirmed_measured_and_repeated() {
-    let lab = Lab::open("random", rig_args("virtual", SPEED), WAITS).await;
-    lab.home().await;
+    let lab = Lab::homed("random", SPEED, WAITS).await;
     let definition = "name = 'weights'\nseed = 2\nsensor = 's'\n[real_random]\ncontacts = [2, 3]\n\
         trials_each = 3\nweights_n = [4.905, 9.81]\n[measure]\nframes_per_trial = 5\n";
     let run = lab.begin(definition).await;

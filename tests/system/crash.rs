@@ -11,14 +11,13 @@ use std::time::{Duration, Instant};
 
 use rand::{RngExt, SeedableRng};
 use reqwest::Response;
-use rustix::process::{Pid, Resource, Rlimit, Signal, kill_process, prlimit};
+use rustix::process::{Pid, Resource, Rlimit, Signal, prlimit};
 use serde_json::{Value, json};
-use sqlx::sqlite::{SqliteConnectOptions, SqliteConnection};
-use sqlx::{ConnectOptions, Connection};
+use sqlx::Connection;
 
 use super::bench::{
-    COMPUTES, LIMIT, Process, SENSOR, WHOLE, answered, http, skin_cache, tell_at, turn, until,
-    with_responses,
+    COMPUTES, LIMIT, Process, SENSOR, WHOLE, answered, database, fault, http, signal, skin_cache,
+    tell_at, turn, until, with_responses,
 };
 
 const SPEED: &str = "20";
@@ -65,7 +64,7 @@ impl Site {
         let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join(name);
         std::fs::remove_dir_all(&folder).ok();
         std::fs::create_dir_all(&folder).unwrap();
-        let port = free_port();
+        let port = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
         let url = format!("http://127.0.0.1:{port}");
         let site = Self { folder, url, port, http: http() };
         let cache = skin_cache();
@@ -156,10 +155,6 @@ impl Site {
     }
 }
 
-fn free_port() -> u16 {
-    std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port()
-}
-
 #[tokio::test(flavor = "multi_thread")]
 async fn killed_at_random_instants_every_planned_trial_is_stored_once() {
     let _turn = turn(COMPUTES).await;
@@ -198,14 +193,6 @@ async fn killed_at_random_instants_every_planned_trial_is_stored_once() {
     assert!(!at.is_empty(), "it was never killed");
 }
 
-fn pid(process: &Process) -> Pid {
-    Pid::from_raw(i32::try_from(process.0.id()).unwrap()).unwrap()
-}
-
-fn signal(process: &Process, signal: Signal) {
-    kill_process(pid(process), signal).unwrap();
-}
-
 #[tokio::test(flavor = "multi_thread")]
 async fn a_service_that_was_frozen_in_a_press_trips_and_stores_nothing_of_it() {
     let _turn = turn(COMPUTES).await;
@@ -215,10 +202,10 @@ async fn a_service_that_was_frozen_in_a_press_trips_and_stores_nothing_of_it() {
     let run = site.begin(experiment(4)).await;
     site.until("/api/v1/status", |s| s["run"]["phase"] == "settle").await;
     let before = site.answer("/api/v1/status").await["run"]["trials_stored"].as_u64().unwrap();
-    signal(&service, Signal::STOP);
+    signal(&service.0, Signal::STOP);
     // Longer than limits.sample_age_ms of the virtual rig's file, 1500.
     tokio::time::sleep(Duration::from_millis(2500)).await;
-    signal(&service, Signal::CONT);
+    signal(&service.0, Signal::CONT);
     let status = site.until("/api/v1/status", |s| !s["rig"]["trip"].is_null()).await;
     assert_eq!(status["rig"]["trip"]["kind"], "stale", "{status:#}");
     // Of a gap between two samples, or of one that has not arrived if z moved on meanwhile.
@@ -241,7 +228,7 @@ async fn a_service_told_to_end_in_a_jog_stops_the_axis_before_it_is_gone() {
     rig(json!({ "action": "home" })).await;
     site.until("/api/v1/status", |s| s["rig"]["state"] == "homed").await;
     rig(json!({ "action": "jog", "axis": "x", "to_mm": 550.0 })).await;
-    signal(&service, Signal::TERM);
+    signal(&service.0, Signal::TERM);
     let ended = tokio::task::spawn_blocking(move || service.0.wait().unwrap()).await.unwrap();
     assert!(ended.success(), "{ended}");
     let truth = tell_at(&control, json!({ "cmd": "status" })).await;
@@ -263,9 +250,8 @@ async fn pressing(site: &Site) {
 
 /// A force over its limit and then an e-stop, while nothing can be stored: both act at once.
 async fn trips_and_stops(site: &Site, control: &str) {
-    let drift = json!({ "cmd": "fault", "kind": "drifting_cell", "device": "cells", "arm": 1,
-        "n_per_s": 50.0 });
-    tell_at(control, drift).await;
+    let drift = json!({ "arm": 1, "n_per_s": 50.0 });
+    tell_at(control, fault("drifting_cell", "cells", drift)).await;
     let ended = |s: &Value| !s["rig"]["trip"].is_null() && !s["rig"]["safe_end"].is_null();
     let status = site.until("/api/v1/status", ended).await;
     let end = &status["rig"]["safe_end"];
@@ -303,9 +289,7 @@ async fn a_trip_and_an_e_stop_do_not_wait_for_a_database_that_is_locked_for_a_mi
     let _service = site.serve().await;
     let _operator = site.operator(&control);
     pressing(&site).await;
-    let file = Path::new(&site.path("data")).join("palpate.db");
-    let mut other: SqliteConnection =
-        SqliteConnectOptions::new().filename(file).connect().await.unwrap();
+    let mut other = database(&site.folder.join("data")).await;
     sqlx::raw_sql("BEGIN IMMEDIATE").execute(&mut other).await.unwrap();
     let locked = Instant::now();
     trips_and_stops(&site, &control).await;
@@ -323,9 +307,12 @@ async fn a_trip_and_an_e_stop_do_not_wait_for_a_full_disk() {
     let service = site.serve().await;
     let _operator = site.operator(&control);
     pressing(&site).await;
-    let files_up_to = |bytes| Rlimit { current: bytes, maximum: None };
-    prlimit(Some(pid(&service)), Resource::Fsize, files_up_to(Some(0))).unwrap();
+    let limit_files = |bytes| {
+        let limit = Rlimit { current: bytes, maximum: None };
+        prlimit(Some(Pid::from_child(&service.0)), Resource::Fsize, limit).unwrap();
+    };
+    limit_files(Some(0));
     trips_and_stops(&site, &control).await;
-    prlimit(Some(pid(&service)), Resource::Fsize, files_up_to(None)).unwrap();
+    limit_files(None);
     told_afterwards(&site).await;
 }

@@ -10,37 +10,37 @@ use std::time::{Duration, Instant};
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::{Value, json};
 
-use crate::bench::{COMPUTES, LIMIT, turn, with_responses};
-
-/// 66 trials with one tip.
-const EXPERIMENT: &str = "name = \"leaving\"\nseed = 1\nsensor = \"sensors/ert-28.toml\"\n\
-    [real_hex]\ntips = [1]\nconfigurations = 6\nblock = 6\nreference_every = 6\n";
+use crate::bench::{COMPUTES, LIMIT, ONE_TIP, Turn, signal, turn, with_responses};
 
 const POLL: Duration = Duration::from_millis(20);
 /// Longest wait for the end of a service that a test leaves.
 const ENDED_WITHIN: Duration = Duration::from_secs(30);
 
-/// A separate data folder, removed at the end with the service that may still use it.
-struct Desk(PathBuf);
+/// A separate data folder, removed at the end with the service that may still use it, and a turn of the machine.
+struct Desk {
+    folder: PathBuf,
+    _turn: Turn,
+}
 
 impl Desk {
-    fn new(name: &str) -> Self {
+    async fn new(name: &str) -> Self {
+        let turn = turn(COMPUTES).await;
         let folder = std::env::temp_dir().join(format!("palpate-{name}-{}", std::process::id()));
         std::fs::create_dir_all(&folder).unwrap();
-        std::fs::write(folder.join("e.toml"), EXPERIMENT).unwrap();
-        std::fs::write(folder.join("next.toml"), EXPERIMENT.replace("leaving", "next")).unwrap();
-        let desk = Self(folder);
+        std::fs::write(folder.join("e.toml"), ONE_TIP).unwrap();
+        std::fs::write(folder.join("next.toml"), ONE_TIP.replace("one-tip", "next")).unwrap();
+        let desk = Self { folder, _turn: turn };
         with_responses(&desk.data());
         desk
     }
 
     fn data(&self) -> PathBuf {
-        self.0.join("data")
+        self.folder.join("data")
     }
 
     fn palpate(&self, arguments: &[&str]) -> Started {
         let mut command = Command::new(env!("CARGO_BIN_EXE_palpate"));
-        command.args(arguments).arg("--json").current_dir(&self.0);
+        command.args(arguments).arg("--json").current_dir(&self.folder);
         command
             .env("PALPATE_DATA", self.data())
             .env_remove("PALPATE_URL")
@@ -75,13 +75,13 @@ impl Desk {
 impl Drop for Desk {
     fn drop(&mut self) {
         if let Some(process) = self.service() {
-            send(process as i32, Signal::TERM);
+            kill_process(Pid::from_raw(process as i32).unwrap(), Signal::TERM).unwrap();
             let (process, start) = (format!("/proc/{process}"), Instant::now());
             while Path::new(&process).exists() && start.elapsed() < ENDED_WITHIN {
                 std::thread::sleep(POLL);
             }
         }
-        let _ = std::fs::remove_dir_all(&self.0);
+        let _ = std::fs::remove_dir_all(&self.folder);
     }
 }
 
@@ -97,8 +97,8 @@ impl Started {
         assert!(found, "it ended before {trials} trials were stored");
     }
 
-    fn signal(&self, signal: Signal) {
-        send(self.child.id() as i32, signal);
+    fn signal(&self, sent: Signal) {
+        signal(&self.child, sent);
     }
 
     /// Its last line, after it has left its run to the service.
@@ -128,14 +128,9 @@ fn parsed(line: std::io::Result<String>) -> Value {
     serde_json::from_str(&line.unwrap()).unwrap()
 }
 
-fn send(process: i32, signal: Signal) {
-    kill_process(Pid::from_raw(process).unwrap(), signal).unwrap();
-}
-
 #[tokio::test(flavor = "multi_thread")]
 async fn ctrl_c_stops_a_run_that_the_same_command_resumes() {
-    let _turn = turn(COMPUTES).await;
-    let desk = Desk::new("stopped");
+    let desk = Desk::new("stopped").await;
     let mut run = desk.run(&[]);
     run.until_stored(5);
     run.signal(Signal::INT);
@@ -155,8 +150,7 @@ async fn ctrl_c_stops_a_run_that_the_same_command_resumes() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_run_outlives_the_command_and_its_terminal() {
-    let _turn = turn(COMPUTES).await;
-    let desk = Desk::new("detached");
+    let desk = Desk::new("detached").await;
     let left = desk.run(&["--detach"]).detached();
     assert_eq!(left["process"].as_i64(), desk.service());
 
@@ -174,8 +168,7 @@ async fn a_run_outlives_the_command_and_its_terminal() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn ctrl_c_takes_a_run_that_waits_for_its_turn_out_of_the_queue() {
-    let _turn = turn(COMPUTES).await;
-    let desk = Desk::new("waiting");
+    let desk = Desk::new("waiting").await;
     desk.palpate(&["run", "e.toml", "--speed", "5", "--detach"]).detached();
     let waiting = desk.palpate(&["run", "next.toml"]);
     desk.until_one_waits();
@@ -189,8 +182,7 @@ async fn ctrl_c_takes_a_run_that_waits_for_its_turn_out_of_the_queue() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_run_whose_start_another_person_takes_back_is_followed_no_longer() {
-    let _turn = turn(COMPUTES).await;
-    let desk = Desk::new("not-begun");
+    let desk = Desk::new("not-begun").await;
     desk.palpate(&["run", "e.toml", "--speed", "5", "--detach"]).detached();
     let waiting = desk.palpate(&["run", "next.toml"]);
     desk.until_one_waits();
@@ -208,8 +200,7 @@ async fn a_run_whose_start_another_person_takes_back_is_followed_no_longer() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn ctrl_c_takes_back_the_start_of_a_stopped_run_that_waits_for_its_turn() {
-    let _turn = turn(COMPUTES).await;
-    let desk = Desk::new("taken-back");
+    let desk = Desk::new("taken-back").await;
     desk.palpate(&["run", "e.toml", "--speed", "10", "--detach"]).detached();
     let mut attached = desk.palpate(&["attach"]);
     attached.until_stored(1);
@@ -232,8 +223,7 @@ async fn ctrl_c_takes_back_the_start_of_a_stopped_run_that_waits_for_its_turn() 
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_terminal_that_is_closed_before_the_run_begins_leaves_it_to_the_service() {
-    let _turn = turn(COMPUTES).await;
-    let desk = Desk::new("hung-up");
+    let desk = Desk::new("hung-up").await;
     let run = desk.run(&[]);
     until("a service", || desk.service().is_some());
     run.signal(Signal::HUP);

@@ -7,11 +7,7 @@ use jiff::{SignedDuration, Timestamp};
 use reqwest::Response;
 use serde_json::{Value, json};
 
-use super::bench::{LIMIT, Lab, WAITS, http, rig_args, tell, until};
-
-/// 66 trials with one tip.
-const EXPERIMENT: &str = "name = 'late'\nseed = 1\nsensor = 's'\n[real_hex]\ntips = [1]\n\
-     configurations = 6\nblock = 6\nreference_every = 6\n";
+use super::bench::{LIMIT, Lab, ONE_TIP, WAITS, http, tell, until};
 
 /// Requests a jog of x with a key.
 async fn jog(lab: &Lab, key: &str, to_mm: f64) -> Response {
@@ -39,8 +35,7 @@ async fn is_at(lab: &Lab, to_mm: f64) {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_jog_that_is_sent_twice_with_one_key_moves_once() {
-    let lab = Lab::open("once", rig_args("virtual", 20.0), WAITS).await;
-    lab.home().await;
+    let lab = Lab::homed("once", 20.0, WAITS).await;
     for (key, to_mm) in [("a", 100.0), ("b", 140.0)] {
         assert_eq!(jog(&lab, key, to_mm).await.status(), 202);
         is_at(&lab, to_mm).await;
@@ -60,8 +55,7 @@ async fn a_jog_that_is_sent_twice_with_one_key_moves_once() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_jog_that_comes_long_after_its_status_moves_nothing() {
-    let lab = Lab::open("late", rig_args("virtual", 20.0), WAITS).await;
-    lab.home().await;
+    let lab = Lab::homed("late", 20.0, WAITS).await;
     let at = lab.get("/api/v1/status").await["at"].as_str().unwrap().to_owned();
     let before = at.parse::<Timestamp>().unwrap() - SignedDuration::from_secs(11);
     let late = jog_with(&lab, ("status-at", &before.to_string()), 100.0).await;
@@ -75,7 +69,7 @@ async fn a_jog_that_comes_long_after_its_status_moves_nothing() {
     is_at(&lab, 140.0).await;
     lab.until("homed again", |s| s["rig"]["state"] == "homed").await;
     // A start that comes late begins nothing; an abort is never late.
-    let run = lab.queue(EXPERIMENT).await;
+    let run = lab.queue(ONE_TIP).await;
     let armed = lab.posted(&format!("/api/v1/runs/{run}/arm"), json!({ "who": "test" })).await;
     let start = json!({ "action": "start", "code": armed["code"], "who": "test" });
     let url = format!("{}/api/v1/runs/{run}/actions", lab.service.url());

@@ -21,14 +21,9 @@ const WHO: &str = "ada";
 const FOUR: &str = "name = 'weights'\nseed = 2\nsensor = 's'\n[real_random]\ncontacts = [2]\n\
     trials_each = 4\nweights_n = [4.905, 9.81]\n[measure]\nframes_per_trial = 5\n";
 
-/// A skin that is as its nominal model predicts, except for noise: what a calibrated one is to its model.
-fn gap_free() -> PathBuf {
-    static WRITTEN: LazyLock<PathBuf> = LazyLock::new(write_gap_free);
-    WRITTEN.clone()
-}
-
-/// Tests run at the same time: one of them writes the file.
-fn write_gap_free() -> PathBuf {
+/// A skin that is as its nominal model predicts, except for noise: what a calibrated one is to its model. Tests run at
+/// the same time: one of them writes the file.
+static GAP_FREE: LazyLock<PathBuf> = LazyLock::new(|| {
     let text = std::fs::read_to_string(file("gaps/gap-a.toml")).unwrap();
     let line = |line: &str| {
         let key = line.split(" = ").next().unwrap().to_owned();
@@ -44,10 +39,10 @@ fn write_gap_free() -> PathBuf {
     let path = Path::new(env!("CARGO_TARGET_TMPDIR")).join("gap-free.toml");
     std::fs::write(&path, text.lines().map(line).collect::<Vec<_>>().join("\n")).unwrap();
     path
-}
+});
 
 pub fn skin_alone() -> RigArgs {
-    RigArgs { gap: gap_free(), ..rig_args("skin-only", SPEED) }
+    RigArgs { gap: GAP_FREE.clone(), ..rig_args("skin-only", SPEED) }
 }
 
 /// The calibration that states the nominal values.
@@ -282,7 +277,7 @@ async fn a_board_that_fails_or_a_stop_gives_up_no_placement() {
     assert!(page["felt"].is_null());
     place(&lab, &page, false).await;
     // Without frames the trial is not measured, and the person is asked again.
-    lab.tell_rig(json!({ "cmd": "fault", "kind": "stall_stream", "device": "ert" })).await;
+    lab.fault("stall_stream", "ert", json!({})).await;
     tokio::time::sleep(Duration::from_millis(300)).await;
     lab.accepts(&run, confirm(0)).await;
     let again = |s: &Value| {

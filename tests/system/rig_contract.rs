@@ -1,4 +1,4 @@
-//! One contract for every driver, kept against the virtual rig, which shares no codec with it:
+//! One contract for every driver, kept against the virtual rig, which encodes and decodes messages without its code:
 //! be looked at without a write, take control, home, move there, stop short, be refused beyond the
 //! limits, read the cells, take frames, come back after an alarm and a power loss. Each rig file's own devices
 //! and wires are served: Modbus TCP, or RTU on pseudo-terminals; each device that the virtual
@@ -24,7 +24,7 @@ use palpate::rig::traits::{Axis, AxisStatus};
 use serde_json::{Value, json};
 use virtual_rig::run::{RigArgs, VirtualRig};
 
-use super::bench::{WHOLE, file, rig_args, tell, turn};
+use super::bench::{WHOLE, fault, file, rig_args, tell, turn, with_extension};
 
 /// Process seconds in a wall second.
 const SPEED: f64 = 20.0;
@@ -109,7 +109,7 @@ async fn home(axis: &Arc<dyn Axis>) {
 /// After an alarm and after a loss of power: reset, prepare, home, and it moves to its target.
 async fn comes_back(rig: &VirtualRig, x: &Arc<dyn Axis>) {
     for kind in ["alarm", "power_loss"] {
-        tell(rig, json!({ "cmd": "fault", "kind": kind, "device": "x", "count": 1 })).await;
+        tell(rig, fault(kind, "x", json!({ "count": 1 }))).await;
         if kind == "alarm" {
             let refused = x.prepare().await.unwrap_err();
             assert!(matches!(refused, RigError::NotReady { .. }), "{refused}");
@@ -158,16 +158,12 @@ async fn moves_and_stops(axis: &Arc<dyn Axis>, latch: &StopLatch) {
 
 /// Names of the rig files in `experiments/rigs/` that describe a bench, not a skin alone.
 fn rig_files() -> Vec<String> {
-    let entries = std::fs::read_dir(file("rigs")).unwrap().map(|entry| entry.unwrap().path());
-    let files =
-        entries.filter(|path| path.extension().is_some_and(|e| e == "toml")).filter(|path| {
-            let text = std::fs::read_to_string(path).unwrap();
-            RigSetup::from_toml("rig", &text).unwrap().bench().is_some()
-        });
-    let mut names: Vec<String> =
-        files.map(|path| path.file_stem().unwrap().to_str().unwrap().to_owned()).collect();
-    names.sort();
-    names
+    let has_bench = |path: &PathBuf| {
+        let text = std::fs::read_to_string(path).unwrap();
+        RigSetup::from_toml("rig", &text).unwrap().bench().is_some()
+    };
+    let name = |path: PathBuf| path.file_stem().unwrap().to_str().unwrap().to_owned();
+    with_extension(&file("rigs"), "toml").into_iter().filter(has_bench).map(name).collect()
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

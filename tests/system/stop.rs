@@ -378,8 +378,7 @@ async fn a_stop_gets_through_crowds() {
         eprintln!("SKIPPED: this process may not have 4096 files open");
         return;
     }
-    let lab = Lab::open("stop-crowds", rig_args("virtual", 20.0), WHOLE).await;
-    lab.home().await;
+    let lab = Lab::homed("stop-crowds", 20.0, WHOLE).await;
     let slow = tokio::spawn(a_slow_head_is_given_up(address(&lab)));
     let run = lab.begin(SMALL).await;
     lab.ended(&run).await;

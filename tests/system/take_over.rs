@@ -5,22 +5,14 @@ use std::time::Duration;
 
 use jiff::{SignedDuration, Timestamp};
 use serde_json::{Value, json};
-use sqlx::sqlite::SqliteConnectOptions;
-use sqlx::{ConnectOptions, Connection};
 
-use super::bench::{Lab, WAITS, rig_args, tell};
+use super::bench::{Lab, WAITS, execute, rig_args, tell};
 use super::campaign::{SMALL, SPEED, complete, held_by_a_lock, release, started, started_early};
 
 /// True position of x, mm.
 async fn x_mm(lab: &Lab) -> f64 {
     let truth = tell(&lab.rig, json!({ "cmd": "status" })).await;
     truth["axes"][0]["position"].as_f64().unwrap()
-}
-
-/// Sticks x: the next homing lasts until the limit of twelve seconds.
-async fn stick_x(lab: &Lab) {
-    let fault = json!({ "cmd": "fault", "kind": "stuck_axis", "device": "x", "for_s": 6000.0 });
-    lab.tell_rig(fault).await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -80,9 +72,8 @@ async fn an_e_stop_with_closed_wires_is_stored_at_once_for_the_next_process() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn an_abort_ends_the_homing_for_a_run_that_is_about_to_be_driven_again() {
-    let (lab, run) = started("homes").await;
-    lab.stored(5).await;
-    stick_x(&lab).await;
+    let (lab, run) = started("homes", 5).await;
+    lab.stick_x().await;
     let lab = lab.restart().await;
     lab.until("a homing", |s| s["rig"]["state"] == "disarmed").await;
     tokio::time::sleep(Duration::from_millis(500)).await;
@@ -99,7 +90,7 @@ async fn an_abort_ends_the_homing_for_a_run_that_is_about_to_be_driven_again() {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_homing_is_named_by_the_status_until_an_abort_ends_it() {
     let lab = Lab::open("homing", rig_args("virtual", SPEED), WAITS).await;
-    stick_x(&lab).await;
+    lab.stick_x().await;
     lab.operate(json!({ "action": "connect" })).await;
     assert_eq!(lab.get("/api/v1/status").await["rig"]["motion"], Value::Null);
     lab.operate(json!({ "action": "home" })).await;
@@ -115,9 +106,8 @@ async fn a_homing_is_named_by_the_status_until_an_abort_ends_it() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_pause_of_a_run_that_is_about_to_be_driven_again_holds_it() {
-    let (lab, run) = started("held").await;
-    lab.stored(5).await;
-    stick_x(&lab).await;
+    let (lab, run) = started("held", 5).await;
+    lab.stick_x().await;
     let lab = lab.restart().await;
     lab.until("a homing", |s| s["rig"]["state"] == "disarmed").await;
     // The command names no run, and none is active.
@@ -135,8 +125,7 @@ async fn a_pause_of_a_run_that_is_about_to_be_driven_again_holds_it() {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_jog_at_the_start_time_of_a_run_does_not_drop_it() {
     // Slow enough that a jog lasts longer than a second.
-    let lab = Lab::open("jogged", rig_args("virtual", 2.0), WAITS).await;
-    lab.home().await;
+    let lab = Lab::homed("jogged", 2.0, WAITS).await;
     let run = started_early(&lab, 6).await;
     let row = lab.get(&format!("/api/v1/runs/{run}")).await;
     let due: Timestamp = row["not_before"].as_str().unwrap().parse().unwrap();
@@ -157,7 +146,7 @@ async fn a_jog_at_the_start_time_of_a_run_does_not_drop_it() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn no_run_begins_by_itself_after_an_abort_of_a_moving_run_and_the_queue_says_why() {
-    let (lab, run) = started("aborted").await;
+    let (lab, run) = started("aborted", 0).await;
     let next = lab.begin(SMALL).await;
     lab.stored(1).await;
     lab.accepts(&run, json!({ "action": "abort" })).await;
@@ -187,8 +176,7 @@ async fn no_run_begins_by_itself_after_an_abort_of_a_moving_run_and_the_queue_sa
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_run_that_is_started_again_after_a_person_has_operated_the_rig_begins_in_time() {
-    let lab = Lab::open("handed-over", rig_args("virtual", SPEED), WAITS).await;
-    lab.home().await;
+    let lab = Lab::homed("handed-over", SPEED, WAITS).await;
     let run = started_early(&lab, 20).await;
     let lab = lab.restart().await;
     lab.operate(json!({ "action": "connect" })).await;
@@ -199,25 +187,16 @@ async fn a_run_that_is_started_again_after_a_person_has_operated_the_rig_begins_
     lab.close().await;
 }
 
-/// Carries out a statement behind the service.
-async fn behind(lab: &Lab, statement: &'static str) {
-    let file = SqliteConnectOptions::new().filename(lab.data.join("palpate.db"));
-    let mut database = file.connect().await.unwrap();
-    sqlx::raw_sql(statement).execute(&mut database).await.unwrap();
-    database.close().await.unwrap();
-}
-
 #[tokio::test(flavor = "multi_thread")]
 async fn a_pause_that_the_database_does_not_take_is_stated_until_it_is_stored() {
-    let (lab, run) = started("unstored").await;
-    lab.stored(2).await;
+    let (lab, run) = started("unstored", 2).await;
     let refuse = "CREATE TRIGGER no_state BEFORE UPDATE OF state ON runs BEGIN
          SELECT RAISE(ABORT, 'no room'); END";
-    behind(&lab, refuse).await;
+    execute(&lab.data, refuse).await;
     lab.accepts(&run, json!({ "action": "pause", "when": "now" })).await;
     let is_stated = |s: &Value| s["needs"].to_string().contains("The database does not take this");
     lab.until("a pause that is not stored", is_stated).await;
-    behind(&lab, "DROP TRIGGER no_state").await;
+    execute(&lab.data, "DROP TRIGGER no_state").await;
     let is_paused = |s: &Value| s["run"]["state"] == "paused" && !is_stated(s);
     lab.until("a pause that is stored", is_paused).await;
     // The last of its states is stored after the first one.

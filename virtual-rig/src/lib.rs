@@ -1,6 +1,6 @@
 //! The virtual rig: simulated devices and skin behind real wires, with a virtual operator.
-//! Register tables and packets are written from the devices' documents and share no codec with the
-//! service: constants of wires and files are written twice on purpose. Uses: sim-core's skin,
+//! Register tables and packets follow the documents of the devices, and are encoded and decoded without
+//! the service's code: constants of wires and files are written twice on purpose. Uses: sim-core's skin,
 //! tokio's sockets. Never: the service's own code.
 //!
 //! Reading order: `config` (devices and wires), `kinematics` and `drive` (a motor), `device`

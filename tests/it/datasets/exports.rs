@@ -7,6 +7,7 @@ use reqwest::header::{ETAG, IF_MATCH, IF_NONE_MATCH, IF_RANGE, RANGE};
 use serde_json::{Value, json};
 
 use super::filled::Filled;
+use crate::support::with_extension;
 
 fn path_of(export: &Value) -> String {
     format!("/api/v1/exports/{}", export["id"].as_str().unwrap())
@@ -169,9 +170,7 @@ async fn a_truncated_sha256_of_an_export_is_not_used() {
     let lab = Filled::open("truncated").await;
     let request = json!({ "dataset": "real", "format": "csv" });
     exported(&lab, request.clone()).await;
-    let entries = std::fs::read_dir(lab.data.join("exports")).unwrap();
-    let mut digests = entries.map(|entry| entry.unwrap().path());
-    let digest = digests.find(|path| path.extension().is_some_and(|e| e == "sha256")).unwrap();
+    let digest = with_extension(&lab.data.join("exports"), "sha256").remove(0);
     // As a power failure could leave it before the file was synced.
     let whole = std::fs::read_to_string(&digest).unwrap();
     std::fs::write(&digest, &whole[..20]).unwrap();

@@ -307,10 +307,7 @@ async fn rigs_that_differ_are_refused_with_the_field_that_differs() {
 async fn each_service_gets_its_own_key_from_a_file() {
     let open = rig("federate-key").await;
     let (_, secret) = open.key("reader", "viewer").await;
-    let lab = Filled::serve_as(open.end().await, |options| {
-        (options.local_admin, options.require_key) = (false, true);
-    })
-    .await;
+    let lab = Filled::serve_keys(open.end().await).await;
     let files = folder("federate-keys");
     let out = files.join("lab");
     let url = lab.url("");

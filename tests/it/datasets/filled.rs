@@ -287,6 +287,14 @@ impl Filled {
         Self::serve_as(data, |options| options.local_admin = local_admin).await
     }
 
+    /// A service on a folder whose requests need a key.
+    pub async fn serve_keys(data: PathBuf) -> Self {
+        let change = |options: &mut ServeOptions| {
+            (options.local_admin, options.require_key) = (false, true);
+        };
+        Self::serve_as(data, change).await
+    }
+
     /// A service on a folder, with other options.
     pub async fn serve_as(data: PathBuf, change: impl FnOnce(&mut ServeOptions)) -> Self {
         let mut options = serve_options(&data, rig());
@@ -302,6 +310,11 @@ impl Filled {
 
     pub async fn answer(&self, path: &str) -> reqwest::Response {
         self.http.get(self.url(path)).send().await.unwrap()
+    }
+
+    /// The entity tag of what is at an address.
+    pub async fn tag(&self, path: &str) -> String {
+        self.answer(path).await.headers()["etag"].to_str().unwrap().to_owned()
     }
 
     /// Makes a dataset of the trials stored now, by its name.

@@ -35,19 +35,30 @@ impl Filled {
         self.until(&path_of(job), LIMIT, is_over).await
     }
 
-    /// The id of the model that a recipe produces.
-    async fn trained(&self, recipe: &str) -> String {
-        let job = self.posted("/api/v1/trainings", json!({ "recipe": recipe }), 202).await;
-        let done = self.job(&job).await;
-        assert_eq!(done["state"], "done", "{done}");
-        done["result"]["model"].as_str().unwrap().to_owned()
-    }
-
-    async fn scored(&self, request: Value) -> Value {
-        let job = self.posted("/api/v1/evaluations", request, 202).await;
+    /// The result of the job that a POST requests.
+    async fn result(&self, path: &str, request: Value) -> Value {
+        let job = self.posted(path, request, 202).await;
         let done = self.job(&job).await;
         assert_eq!(done["state"], "done", "{done}");
         done["result"].clone()
+    }
+
+    /// A POST requests a job that fails with these words.
+    async fn fails(&self, path: &str, request: Value, words: &str) {
+        let job = self.posted(path, request, 202).await;
+        let failed = self.job(&job).await;
+        assert_eq!(failed["state"], "failed", "{failed}");
+        assert!(failed["error"].as_str().unwrap().contains(words), "{words}: {failed}");
+    }
+
+    /// The id of the model that a recipe produces.
+    async fn trained(&self, recipe: &str) -> String {
+        let result = self.result("/api/v1/trainings", json!({ "recipe": recipe })).await;
+        result["model"].as_str().unwrap().to_owned()
+    }
+
+    async fn scored(&self, request: Value) -> Value {
+        self.result("/api/v1/evaluations", request).await
     }
 
     async fn a_frame(&self) -> Value {
@@ -99,10 +110,8 @@ async fn nets_are_trained_scored_promoted_and_asked() {
     assert!(report["perfect"]["all"]["exact_rate"]["mean"].as_f64().unwrap() > 0.8, "{report:#}");
     // An end-to-end net reads the measured frames: a Transfer-Net before it has no use.
     let both = json!({ "scored": "paper", "dataset": "real", "transfer": transfer, "map": maps });
-    let (_, job) = lab.post("/api/v1/evaluations", both).await;
-    let failed = lab.job(&job).await;
     let words = format!("transfer = {transfer}: must be absent");
-    assert!(failed["error"].as_str().is_some_and(|error| error.contains(&words)), "{failed}");
+    lab.fails("/api/v1/evaluations", both, &words).await;
     let shown = json!({ "scored": "paper", "dataset": "real", "map": maps, "limit": 2,
         "examples": 2 });
     let shown = lab.scored(shown).await;
@@ -200,10 +209,7 @@ async fn what_cannot_be_is_named_and_changes_nothing() {
         (net.replace("r2s-transfer", "real-unseen"), "sim_voltages_v"),
         (net.replace("dataset", "where = [\"tips__gt=9\"]\ndataset"), "no rows in part train"),
     ] {
-        let job = lab.posted("/api/v1/trainings", json!({ "recipe": recipe }), 202).await;
-        let failed = lab.job(&job).await;
-        assert_eq!(failed["state"], "failed");
-        assert!(failed["error"].as_str().unwrap().contains(words), "{words}: {failed}");
+        lab.fails("/api/v1/trainings", json!({ "recipe": recipe }), words).await;
     }
     let unknown = json!({ "scored": "paper", "dataset": "real", "part": "some" });
     lab.refuses("/api/v1/evaluations", unknown, 422, "part = some").await;
@@ -279,11 +285,8 @@ async fn what_cannot_be_is_named_and_changes_nothing() {
         json!({ "scored": "tikhonov", "dataset": pad }),
         json!({ "scored": "exact", "dataset": pad }),
     ] {
-        let (_, job) = lab.post("/api/v1/evaluations", request).await;
-        let failed = lab.job(&job).await;
-        assert_eq!(failed["state"], "failed", "{failed}");
         let words = "is for sensor ert-28 with 784 channels, this is pad with 4";
-        assert!(failed["error"].as_str().unwrap().contains(words), "{failed}");
+        lab.fails("/api/v1/evaluations", request, words).await;
     }
     let (status, added) = add(onnx.to_vec(), facts.to_owned(), SENSOR.to_owned()).await;
     assert_eq!(status, 201, "{added}");

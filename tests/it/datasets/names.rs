@@ -1,6 +1,7 @@
 //! What a name refers to, when it refers to something else, and what an id keeps.
 
 use std::collections::BTreeMap;
+use std::time::Duration;
 
 use palpate::dataset::format::Rows;
 use palpate::dataset::read::DatasetRows;
@@ -11,6 +12,7 @@ use rand::SeedableRng;
 use serde_json::{Value, json};
 
 use super::filled::{self, Filled};
+use crate::support::{until, with_extension};
 
 /// Trials of the Real-Hex run by what becomes of them in `real`: forces pass 5 N from depth 3 on.
 const TRIALS: u64 = 330;
@@ -216,23 +218,9 @@ async fn older_datasets_go_on_request_unless_a_model_was_trained_on_them() {
 async fn a_run_that_ended_gets_its_file_by_itself() {
     let lab = Filled::open("kept").await;
     let folder = lab.data.join("datasets");
-    let start = std::time::Instant::now();
-    let wanted = |folder: &std::path::Path| {
-        std::fs::read_dir(folder)
-            .map(|files| {
-                files
-                    .filter(|f| {
-                        f.as_ref()
-                            .is_ok_and(|f| f.path().extension().is_some_and(|e| e == "parquet"))
-                    })
-                    .count()
-            })
-            .unwrap_or_default()
-    };
-    while wanted(&folder) < 2 {
-        assert!(start.elapsed().as_secs() < 30, "no file in {}", folder.display());
-        tokio::time::sleep(std::time::Duration::from_millis(100)).await;
-    }
+    // The folder may not be there yet.
+    let count = async || folder.is_dir().then(|| with_extension(&folder, "parquet").len());
+    until("a file of each run", Duration::from_secs(30), count, |count| *count >= Some(2)).await;
     let run = lab.make("run-1").await;
     assert_eq!(run["rows"], TRIALS);
     let path = folder.join(format!("{}.parquet", run["id"].as_str().unwrap()));

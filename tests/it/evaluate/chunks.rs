@@ -11,7 +11,7 @@ use serde_json::{Value, json};
 
 use super::commands::{evaluate, palpate, table_text, trials};
 use crate::datasets::filled::folder;
-use crate::support::{PALPATE, Process, copy_folder, done, not_done, succeeded};
+use crate::support::{PALPATE, Process, copy_folder, done, not_done, succeeded, with_extension};
 
 /// Few passes over few rows, and few scored ones.
 const TINY: [&str; 6] = ["--epochs", "1", "--rows", "40", "--scored", "20"];
@@ -22,19 +22,17 @@ fn ordered(data: &Path, name: &str) -> Value {
     done(&palpate(data, &[&options[..], &TINY[..]].concat()))
 }
 
-/// Starts a task of an array.
-fn task(data: &Path, name: &str, task: &str, tasks: &str) -> Process {
+/// Starts a task of an array, with this data folder.
+pub(super) fn task(data: &Path, order: &Path, task: &str, tasks: &str) -> Process {
     let mut command = Command::new(PALPATE);
-    command.args(["cluster", "make", name, "--json", "--task", task, "--tasks", tasks]);
-    command.env("PALPATE_DATA", data).current_dir(data);
-    command.stdin(Stdio::null()).stdout(Stdio::null());
+    command.args(["cluster", "make", "--json", "--task", task, "--tasks", tasks]).arg(order);
+    command.arg("--data").arg(data).stdin(Stdio::null()).stdout(Stdio::null());
     Process(command.spawn().unwrap())
 }
 
 /// The chunks of an order with this ending: name and bytes.
 pub(super) fn chunks(order: &Path, ending: &str) -> BTreeMap<String, Vec<u8>> {
-    let paths = fs::read_dir(order.join("results")).unwrap().map(|entry| entry.unwrap().path());
-    let chunks = paths.filter(|path| path.extension().is_some_and(|found| found == ending));
+    let chunks = with_extension(&order.join("results"), ending).into_iter();
     let name = |path: &PathBuf| path.file_name().unwrap().to_str().unwrap().to_owned();
     chunks.map(|path| (name(&path), fs::read(path).unwrap())).collect()
 }
@@ -73,20 +71,21 @@ async fn a_table_of_two_processes_is_that_of_one() {
     assert_eq!(ordered(&data, "one")["changed"], false);
 
     // One process, which is killed within a net and starts again.
-    let mut killed = task(&data, "one", "0", "1");
-    let unfinished = data.join("one/unfinished");
+    let [in_one, in_two] = ["one", "two"].map(|name| data.join(name));
+    let mut killed = task(&data, &in_one, "0", "1");
+    let unfinished = in_one.join("unfinished");
     while !unfinished.join("3").is_dir() {
         assert!(killed.0.try_wait().unwrap().is_none(), "it made all nets or failed");
         tokio::time::sleep(std::time::Duration::from_millis(1)).await;
     }
     drop(killed);
-    assert!(task(&data, "one", "0", "1").0.wait().unwrap().success());
+    assert!(task(&data, &in_one, "0", "1").0.wait().unwrap().success());
     // Two next to each other.
-    let both = ["0", "1"].map(|number| task(&data, "two", number, "2"));
+    let both = ["0", "1"].map(|number| task(&data, &in_two, number, "2"));
     for mut process in both {
         assert!(process.0.wait().unwrap().success());
     }
-    let (one, two) = (chunks(&data.join("one"), "net"), chunks(&data.join("two"), "net"));
+    let (one, two) = (chunks(&in_one, "net"), chunks(&in_two, "net"));
     assert_eq!(one.len(), 36);
     assert!(one == two, "other bytes: {:?} and {:?}", one.keys(), two.keys());
     let mut left = fs::read_dir(&unfinished).unwrap().map(|entry| entry.unwrap().path());
@@ -94,14 +93,14 @@ async fn a_table_of_two_processes_is_that_of_one() {
 
     // A net with other bytes is found, and made again.
     let (name, bytes) = one.first_key_value().unwrap();
-    let path = data.join("one/results").join(name);
+    let path = in_one.join("results").join(name);
     let mut damaged = bytes.clone();
     damaged[bytes.len() / 2] ^= 1;
     fs::write(&path, damaged).unwrap();
     let refused = palpate(&data, &["cluster", "gather", "one", "--out", "nets-one"]);
     not_done(&refused, 1, "is damaged");
-    assert!(task(&data, "one", "0", "1").0.wait().unwrap().success());
-    assert!(chunks(&data.join("one"), "net") == one, "other bytes the second time");
+    assert!(task(&data, &in_one, "0", "1").0.wait().unwrap().success());
+    assert!(chunks(&in_one, "net") == one, "other bytes the second time");
 
     // Each table in a separate data folder, so that each adds its own nets.
     let copy = folder("evaluate-chunks-copy");

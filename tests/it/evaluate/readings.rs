@@ -3,14 +3,13 @@
 
 use std::fs;
 use std::path::Path;
-use std::process::{Command, Stdio};
 
 use serde_json::{Value, json};
 
-use super::chunks::chunks;
+use super::chunks::{chunks, task};
 use super::commands::{evaluate, palpate, trials};
 use crate::datasets::filled::folder;
-use crate::support::{self, PALPATE, Process};
+use crate::support;
 
 /// The evaluation.
 const OPTIONS: [&str; 7] = ["exact", "--dataset", "real", "--part", "test", "--scored", "12"];
@@ -18,14 +17,6 @@ const OPTIONS: [&str; 7] = ["exact", "--dataset", "real", "--part", "test", "--s
 /// The last line of a command that must succeed.
 fn done(data: &Path, arguments: &[&str]) -> Value {
     support::done(&palpate(data, arguments))
-}
-
-/// Starts a task of an array, on a node with the cache alone.
-fn task(node: &Path, order: &Path, task: &str, tasks: &str) -> Process {
-    let mut command = Command::new(PALPATE);
-    command.args(["cluster", "make", "--json", "--task", task, "--tasks", tasks]).arg(order);
-    command.arg("--data").arg(node).stdin(Stdio::null()).stdout(Stdio::null());
-    Process(command.spawn().unwrap())
 }
 
 /// Whether two values are equal; numbers up to what a text of them loses.
@@ -57,6 +48,7 @@ async fn answers_of_two_processes_are_scored_as_those_of_the_service() {
     let [one, two] = ["one", "two"].map(|name| data.join(name));
     fs::create_dir(&two).unwrap();
     fs::copy(one.join("order.json"), two.join("order.json")).unwrap();
+    // A node has the cache alone.
     let node = folder("evaluate-readings-node");
     support::copy_folder(&data.join("cache"), &node);
 

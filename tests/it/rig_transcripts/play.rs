@@ -3,7 +3,7 @@
 //! Uses: `rig::link`. Never: a driver.
 
 use std::collections::VecDeque;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -12,6 +12,8 @@ use palpate::rig::link::{Framing, Line, LinePolicy, Opener, Port};
 use tokio::io::{AsyncReadExt, AsyncWriteExt, DuplexStream};
 use tokio::sync::mpsc;
 use tokio::task::JoinHandle;
+
+use crate::support::with_extension;
 
 /// Process time runs fast, so that a transcript's axis may be anywhere at its next status.
 pub const RATE: f64 = 1e5;
@@ -30,17 +32,11 @@ pub enum Step {
 /// Files of a folder of the checkout with this extension: name and text, by name.
 pub fn files(folder: &str, extension: &str) -> Vec<(String, String)> {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join(folder);
-    let mut files: Vec<_> = std::fs::read_dir(folder)
-        .unwrap()
-        .map(|entry| entry.unwrap().path())
-        .filter(|path| path.extension().is_some_and(|e| e == extension))
-        .map(|path| {
-            let name = path.file_name().unwrap().to_str().unwrap().to_owned();
-            (name, std::fs::read_to_string(path).unwrap())
-        })
-        .collect();
-    files.sort();
-    files
+    let named = |path: PathBuf| {
+        let name = path.file_name().unwrap().to_str().unwrap().to_owned();
+        (name, std::fs::read_to_string(path).unwrap())
+    };
+    with_extension(&folder, extension).into_iter().map(named).collect()
 }
 
 /// The device's steps of a transcript.

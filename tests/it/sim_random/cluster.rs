@@ -8,10 +8,11 @@ use std::process::{Command, Output, Stdio};
 use std::time::Duration;
 
 use rand::{RngExt, SeedableRng};
+use rustix::process::Signal;
 use serde_json::{Value, json};
 
 use super::{data, files, folder, made as simulated};
-use crate::support::{PALPATE, Process, done, not_done, succeeded};
+use crate::support::{PALPATE, Process, done, not_done, signal, succeeded, with_extension};
 
 /// Options of 6,000 trials in 20 chunks.
 static TRIALS: [&str; 4] = ["--trials", "6000", "--shard-trials", "300"];
@@ -62,13 +63,11 @@ fn not_gathered(folder: &Path, out: &Path) -> String {
 
 /// Row of a chunk and path of its bytes.
 fn result(folder: &Path, index: u64) -> (PathBuf, PathBuf) {
-    let results = fs::read_dir(folder.join("results")).unwrap().map(|e| e.unwrap().path());
-    let mut rows = results.filter(|path| path.extension().is_some_and(|end| end == "json"));
-    let row = rows.find(|path| {
+    let is_its = |path: &PathBuf| {
         let row: Value = serde_json::from_slice(&fs::read(path).unwrap()).unwrap();
         row["index"] == index
-    });
-    let row = row.unwrap();
+    };
+    let row = with_extension(&folder.join("results"), "json").into_iter().find(is_its).unwrap();
     (row.with_extension("parquet"), row)
 }
 
@@ -200,8 +199,7 @@ fn sigterm_leaves_nothing_half() {
     let mut output = BufReader::new(child.stdout.take().unwrap());
     let mut line = String::new();
     output.read_line(&mut line).unwrap();
-    let pid = child.id().to_string();
-    assert!(Command::new("kill").args(["-TERM", &pid]).status().unwrap().success());
+    signal(&child, Signal::TERM);
     let lines: Vec<String> = output.lines().map(Result::unwrap).collect();
     assert_eq!(child.wait().unwrap().code(), Some(1));
     let last: Value = serde_json::from_str(lines.last().unwrap()).unwrap();

@@ -11,6 +11,7 @@ use std::time::Duration;
 use palpate::digest::sha256_hex;
 use palpate::simulate::model::load_or_build;
 use rand::{RngExt, SeedableRng};
+use rustix::process::Signal;
 use serde_json::Value;
 use sim_core::forward::{Contact, ForwardModel, Workspace};
 
@@ -137,8 +138,7 @@ fn ctrl_c_ends_after_the_shard_and_the_same_command_goes_on() {
         assert!(process.try_wait().unwrap().is_none(), "it has ended before it was interrupted");
         std::thread::sleep(Duration::from_millis(10));
     }
-    let sent = Command::new("kill").args(["-INT", &process.id().to_string()]).status().unwrap();
-    assert!(sent.success());
+    support::signal(&process, Signal::INT);
     let output = process.wait_with_output().unwrap();
     assert_eq!(output.status.code(), Some(1));
     let last = last_line(&output);

@@ -62,8 +62,7 @@ async fn plays(lab: &Lab, (python, chromium): &(String, String), scenario: &str)
 
 /// A lab with a long run under way, and the run's uid.
 async fn running(name: &str) -> (Lab, String) {
-    let lab = Lab::open(name, rig_args("virtual", SPEED), COMPUTES).await;
-    lab.home().await;
+    let lab = Lab::homed(name, SPEED, COMPUTES).await;
     let run = lab.begin(LONG).await;
     lab.stored(1).await;
     (lab, run)
@@ -72,8 +71,7 @@ async fn running(name: &str) -> (Lab, String) {
 /// A lab in which each page has something to show: a run that ended, its dataset, a net, a run that is
 /// under way and one that waits.
 async fn furnished(name: &str) -> Lab {
-    let lab = Lab::open(name, rig_args("virtual", SPEED), COMPUTES).await;
-    lab.home().await;
+    let lab = Lab::homed(name, SPEED, COMPUTES).await;
     let run = lab.begin(SHORT).await;
     lab.ended(&run).await;
     lab.posted("/api/v1/datasets", json!({ "name": "run-1" })).await;
@@ -221,8 +219,7 @@ async fn orders_of_bulk_work_are_cancelled_gathered_and_submitted() {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_page_has_no_element_for_each_trial_or_event() {
     let Some(tools) = tools() else { return };
-    let lab = Lab::open("browser-size", rig_args("virtual", 40.0), COMPUTES).await;
-    lab.home().await;
+    let lab = Lab::homed("browser-size", 40.0, COMPUTES).await;
     plays(&lab, tools, "size").await;
     lab.close().await;
 }

@@ -86,11 +86,21 @@ impl Harness {
         harness
     }
 
-    /// A homed rig on which `n` trials of an experiment with these tips are stored.
-    pub async fn running(tips: u8, n: u64) -> Self {
+    /// A homed rig on which `n` trials of an experiment with two tips are stored.
+    pub async fn running(n: u64) -> Self {
         let harness = Self::homed().await;
-        harness.run(tips, "").await;
+        harness.run(2, "").await;
         harness.stored(n).await;
+        harness
+    }
+
+    /// As `running`, once the rig's tips truly press again.
+    pub async fn pressing(n: u64) -> Self {
+        let harness = Self::running(n).await;
+        let start = Instant::now();
+        while harness.truth().await["pressing"] != true {
+            assert!(start.elapsed() < LIMIT, "nothing presses: {:#?}", harness.handle.status());
+        }
         harness
     }
 
@@ -219,14 +229,6 @@ impl Harness {
         status
     }
 
-    /// Waits until the rig's tips truly press.
-    pub async fn pressing(&self) {
-        let start = Instant::now();
-        while self.truth().await["pressing"] != true {
-            assert!(start.elapsed() < LIMIT, "nothing presses: {:#?}", self.handle.status());
-        }
-    }
-
     /// Waits for a trip and for its safe end.
     pub async fn tripped(&self) -> Status {
         let ended = |s: &Status| s.rig.state == RigState::Tripped && s.rig.safe_end.is_some();
@@ -261,9 +263,7 @@ impl Harness {
 
     /// A fault that begins at once.
     pub async fn fault(&self, kind: &str, device: &str, more: Value) {
-        let mut fault = json!({ "cmd": "fault", "kind": kind, "device": device });
-        fault.as_object_mut().unwrap().extend(more.as_object().unwrap().clone());
-        self.tell(fault).await;
+        self.tell(bench::fault(kind, device, more)).await;
     }
 
     /// What the bench truly does.

@@ -42,7 +42,7 @@ async fn a_reply_that_still_shows_the_coarse_touch_gives_no_height() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn cells_that_stop_in_the_air_between_configurations_store_no_false_zero() {
-    let harness = Harness::running(2, 6).await;
+    let harness = Harness::running(6).await;
     harness.fault("frozen_cell", "cells", json!({ "arm": 1 })).await;
     harness.fault("frozen_cell", "cells", json!({ "arm": 2 })).await;
     harness.tripped().await;
@@ -57,8 +57,7 @@ async fn cells_that_stop_in_the_air_between_configurations_store_no_false_zero()
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_module_that_repeats_itself_under_load_trips_and_its_last_word_is_not_stored() {
-    let harness = Harness::running(2, 2).await;
-    harness.pressing().await;
+    let harness = Harness::pressing(2).await;
     harness.fault("hung_module", "cells", json!({})).await;
     let before = harness.journal.taken().trials.len();
     harness.tripped_by(TripKind::Stale, "the module repeats itself").await;
@@ -70,7 +69,7 @@ async fn a_module_that_repeats_itself_under_load_trips_and_its_last_word_is_not_
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_motor_that_does_not_turn_trips_in_the_time_of_its_motion() {
-    let harness = Harness::running(2, 2).await;
+    let harness = Harness::running(2).await;
     // It reports no alarm: only the time shows that it does not arrive.
     harness.fault("stuck_axis", "x", json!({ "for_s": 600.0 })).await;
     let before = harness.journal.taken().trials.len();
@@ -87,7 +86,7 @@ async fn a_motor_that_does_not_turn_trips_in_the_time_of_its_motion() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_force_below_the_tare_trips() {
-    let harness = Harness::running(2, 1).await;
+    let harness = Harness::running(1).await;
     harness.fault("pulling_cell", "cells", json!({ "arm": 2, "n": 60.0 })).await;
     harness.tripped_by(TripKind::Cell, "below its tare").await;
     harness.close().await;
@@ -100,7 +99,7 @@ async fn a_lost_module_a_lost_stream_and_a_stopped_axis_each_end_in_the_safe_end
         ("stall_stream", "ert", json!({ "for_s": 60.0 }), "stale"),
         ("alarm", "x", json!({ "count": 1 }), "device"),
     ] {
-        let harness = Harness::running(2, 1).await;
+        let harness = Harness::running(1).await;
         harness.fault(kind, device, more).await;
         harness.tripped().await;
         harness
@@ -115,8 +114,7 @@ async fn a_lost_module_a_lost_stream_and_a_stopped_axis_each_end_in_the_safe_end
 
 #[tokio::test(flavor = "multi_thread")]
 async fn an_alarm_of_z_in_contact_is_for_a_person_and_the_run_goes_on_afterwards() {
-    let harness = Harness::running(2, 2).await;
-    harness.pressing().await;
+    let harness = Harness::pressing(2).await;
     harness.fault("alarm", "z", json!({ "count": 1 })).await;
     let status = harness.tripped().await;
     assert!(matches!(status.rig.safe_end.unwrap().tips, Tips::NotRaised(_)));
@@ -160,7 +158,7 @@ async fn a_tip_that_is_not_there_is_named_by_the_touch_off() {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_store_that_fails_raises_and_the_run_goes_on_when_it_is_back() {
     for mood in [Mood::Fails, Mood::Panics] {
-        let harness = Harness::running(2, 2).await;
+        let harness = Harness::running(2).await;
         harness.journal.set(mood);
         harness.run_is(StoredState::Paused).await;
         harness.is_safe().await;
@@ -176,7 +174,7 @@ async fn a_store_that_fails_raises_and_the_run_goes_on_when_it_is_back() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_stream_that_stalls_while_a_commit_is_pending_trips() {
-    let harness = Harness::running(2, 2).await;
+    let harness = Harness::running(2).await;
     harness.journal.set(Mood::Hangs);
     harness.until("a commit", committing).await;
     harness.fault("stall_stream", "ert", json!({ "for_s": 600.0 })).await;

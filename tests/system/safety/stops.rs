@@ -47,8 +47,7 @@ async fn a_service_told_to_end_stops_a_jog_a_homing_and_a_press() {
     no_axis_moves(&truth);
     harness.close().await;
 
-    let harness = Harness::running(2, 1).await;
-    harness.pressing().await;
+    let harness = Harness::pressing(1).await;
     harness.ask(Request::Shutdown).await.unwrap();
     harness.until("raised", |s| s.rig.safe_end.is_some()).await;
     harness.is_safe().await;
@@ -119,8 +118,7 @@ async fn an_e_stop_while_the_wires_are_opened_reaches_every_axis_and_ends_the_co
 
 #[tokio::test(flavor = "multi_thread")]
 async fn an_e_stop_in_a_press_stops_every_axis_and_moves_nothing_else() {
-    let harness = Harness::running(2, 1).await;
-    harness.pressing().await;
+    let harness = Harness::pressing(1).await;
     harness.handle.estop("test");
     let status = harness.tripped().await;
     assert_eq!(status.rig.safe_end.unwrap().tips, Tips::HeldByEstop);
