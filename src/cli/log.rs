@@ -24,7 +24,7 @@ use crate::plain::escaped;
 #[derive(Debug, Clone, Default, Args)]
 #[command(next_help_heading = "Log")]
 pub struct LogArgs {
-    /// Level: error, warn, info, debug or trace, also of parts: info,palpate_bench=debug
+    /// Level: off, error, warn, info, debug or trace, also of parts: info,palpate_bench=debug
     /// [env: PALPATE_LOG] [default: warn].
     #[arg(long, value_name = "LEVEL", global = true, hide_short_help = true)]
     pub log: Option<String>,
@@ -159,7 +159,7 @@ impl Drop for Log {
 fn levels(wanted: &str) -> Result<Targets, String> {
     let is_level = |word: &str| word.parse::<LevelFilter>().is_ok();
     if let Some(word) = wanted.split(',').find(|word| !word.contains('=') && !is_level(word)) {
-        return Err(format!("{word}: must be error, warn, info, debug or trace, or PART=LEVEL"));
+        return Err(format!("{word}: must be off, error, warn, info, debug or trace, or PART=LEVEL"));
     }
     let levels = wanted.parse::<Targets>().map_err(|error| error.to_string())?;
     Ok(match levels.default_level() {
