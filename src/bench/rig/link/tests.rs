@@ -103,7 +103,7 @@ fn patient_rig(timeout: Duration, script: impl FnMut(usize, Asked) -> Act + Send
     tokio::spawn(serve(wires, script, log));
     let policy = LinePolicy { timeout, attempts: 3, silence: Duration::ZERO, stop_grace: GRACE };
     let clock = Clock::new(1.0);
-    let line = Arc::new(Line::spawn("wire", Framing::Tcp, "rig:502", opener, policy, clock));
+    let line = Arc::new(Line::spawn(Framing::Tcp, "rig:502", opener, policy, clock));
     Rig { line, asked }
 }
 
@@ -359,7 +359,7 @@ async fn a_motion_whose_wire_opens_after_the_stop_was_latched_is_not_sent() {
     let silence = Duration::ZERO;
     let policy = LinePolicy { timeout: LONG, attempts: 3, silence, stop_grace: GRACE };
     let clock = Clock::new(1.0);
-    let line = Arc::new(Line::spawn("wire", Framing::Tcp, "rig:502", opener, policy, clock));
+    let line = Arc::new(Line::spawn(Framing::Tcp, "rig:502", opener, policy, clock));
     let latch = StopLatch::new();
     let permit = MotionGate::new(latch.clone()).permit().unwrap();
     let asking = Arc::clone(&line);
@@ -395,7 +395,7 @@ const STOP: [u8; 8] = [1, 5, 0, 9, 0xFF, 0, 0x5C, 0x38];
 fn serial(timeout: Duration) -> (Arc<Line>, mpsc::Receiver<DuplexStream>) {
     let (opener, wires) = opener();
     let policy = LinePolicy { timeout, attempts: 3, silence: Duration::ZERO, stop_grace: GRACE };
-    let line = Line::spawn("wire", Framing::Rtu, "port", opener, policy, Clock::new(1.0));
+    let line = Line::spawn(Framing::Rtu, "port", opener, policy, Clock::new(1.0));
     (Arc::new(line), wires)
 }
 
