@@ -45,7 +45,7 @@ fn axis(
         guard,
     };
     let station = Station::new(Arc::clone(line), unit, "x");
-    let (gate, clock) = (MotionGate::new(StopLatch::new()), Clock::new(RATE));
+    let (gate, clock) = (MotionGate::new(StopLatch::default()), Clock::new(RATE));
     device.open(AxisParts { name: "x", station, profile, gate, clock })
 }
 

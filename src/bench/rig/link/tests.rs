@@ -193,7 +193,7 @@ async fn a_motion_that_may_have_been_received_is_handed_back_not_repeated() {
             6 if n == 2 => Act::Echo,
             _ => Act::Exception(code),
         });
-        let permit = MotionGate::new(StopLatch::new()).permit().unwrap();
+        let permit = MotionGate::new(StopLatch::default()).permit().unwrap();
         // A busy device (6) has refused it, and a gateway without a path (0xA) has not passed it on.
         let accepted = rig.line.ask_motion(1, coil(1), permit).await.is_ok();
         assert_eq!((rig.seen().len(), accepted), (sent, code == 6), "exception {code}");
@@ -203,7 +203,7 @@ async fn a_motion_that_may_have_been_received_is_handed_back_not_repeated() {
 #[tokio::test]
 async fn a_stop_overtakes_and_voids_the_motions_that_waited() {
     let mut rig = rig(|n, _| if n == 0 { Act::Late(GRACE / 2) } else { Act::Echo });
-    let gate = MotionGate::new(StopLatch::new());
+    let gate = MotionGate::new(StopLatch::default());
     let permit = gate.permit().unwrap();
     let ask = |address, permit: Option<MotionPermit>| {
         let line = Arc::clone(&rig.line);
@@ -244,7 +244,7 @@ async fn a_stop_cuts_off_a_request_that_hangs_and_the_request_goes_on_after_it()
 #[tokio::test]
 async fn a_motion_that_a_stop_cut_off_is_handed_back_not_repeated() {
     let mut rig = patient_rig(LONG, |n, _| if n == 0 { Act::Silence } else { Act::Echo });
-    let gate = MotionGate::new(StopLatch::new());
+    let gate = MotionGate::new(StopLatch::default());
     let (line, permit) = (Arc::clone(&rig.line), gate.permit().unwrap());
     let hanging = tokio::spawn(async move { line.ask_motion(2, coil(1), permit).await });
     assert_eq!(rig.asked.recv().await, Some((2, 5, 1)));
@@ -281,7 +281,7 @@ async fn a_silent_drive_does_not_keep_the_raise_of_another_waiting() {
         let line = Arc::clone(line);
         tokio::spawn(async move { line.ask_urgent(2, coil(9)).await })
     };
-    let gate = MotionGate::new(StopLatch::new());
+    let gate = MotionGate::new(StopLatch::default());
     // It is not known to be silent: its first stop is waited for, and not those after it.
     let silent = stop_of_2(&rig.line);
     assert_eq!(rig.asked.recv().await, Some((2, 5, 9)));
@@ -331,7 +331,7 @@ async fn several_silent_drives_do_not_keep_a_request_to_another_device_waiting()
 #[tokio::test]
 async fn a_latched_rig_sends_no_motion_but_reads_and_stops() {
     let mut rig = rig(|_, (_, f, _)| if f == 3 { Act::Words(vec![1]) } else { Act::Echo });
-    let latch = StopLatch::new();
+    let latch = StopLatch::default();
     let permit = MotionGate::new(latch.clone()).permit().unwrap();
     latch.latch();
     assert_eq!(rig.line.ask_motion(1, coil(1), permit.clone()).await, Err(LineError::Latched));
@@ -360,7 +360,7 @@ async fn a_motion_whose_wire_opens_after_the_stop_was_latched_is_not_sent() {
     let policy = LinePolicy { timeout: LONG, attempts: 3, silence, stop_grace: GRACE };
     let clock = Clock::new(1.0);
     let line = Arc::new(Line::spawn(Framing::Tcp, "rig:502", opener, policy, clock));
-    let latch = StopLatch::new();
+    let latch = StopLatch::default();
     let permit = MotionGate::new(latch.clone()).permit().unwrap();
     let asking = Arc::clone(&line);
     let moving = tokio::spawn(async move { asking.ask_motion(1, coil(1), permit).await });
@@ -451,7 +451,7 @@ async fn a_serial_exception_that_may_be_of_an_earlier_write_fails_no_stop() {
 async fn a_reply_to_an_earlier_write_answers_no_stop(reply: &[u8]) {
     let (line, mut wires) = serial(LONG);
     let write = |word| Request::WriteRegisters { address: 0x7C, words: vec![0, word] };
-    let permit = MotionGate::new(StopLatch::new()).permit().unwrap();
+    let permit = MotionGate::new(StopLatch::default()).permit().unwrap();
     let asking = Arc::clone(&line);
     let releasing = tokio::spawn(async move { asking.ask_motion(1, write(0), permit).await });
     let mut first = wires.recv().await.unwrap();
