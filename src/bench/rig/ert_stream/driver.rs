@@ -43,7 +43,6 @@ struct Shared {
     frames: AtomicU64,
     missed: AtomicU64,
     garbled: AtomicU64,
-    dropped_bytes: AtomicU64,
     reconnects: AtomicU64,
     timing: Mutex<DeviceTiming>,
     /// Last line of text from the device, and the reason why the wire is down; none if it works.
@@ -101,7 +100,6 @@ impl ErtStream {
             frames: AtomicU64::new(0),
             missed: AtomicU64::new(0),
             garbled: AtomicU64::new(0),
-            dropped_bytes: AtomicU64::new(0),
             reconnects: AtomicU64::new(0),
             timing: Mutex::new(DeviceTiming::new(period_s, sending_s, clock.rate())),
             status: Mutex::default(),
@@ -133,11 +131,6 @@ impl ErtStream {
     /// Reason why the wire is down; none if it works.
     pub fn wire_trouble(&self) -> Option<String> {
         lock(&self.shared.status).1.clone()
-    }
-
-    /// Number of bytes dropped.
-    pub fn dropped_bytes(&self) -> u64 {
-        self.shared.dropped_bytes.load(Ordering::Relaxed)
     }
 
     /// Subscribes to all frames from now on; a slow receiver loses frames.
@@ -293,7 +286,6 @@ impl Reader {
         }
         shared.missed.store(tally.missed, Ordering::Relaxed);
         shared.garbled.store(tally.garbled, Ordering::Relaxed);
-        shared.dropped_bytes.store(tally.dropped_bytes, Ordering::Relaxed);
         for event in self.events.drain(..) {
             match event {
                 Event::Status(line) => lock(&shared.status).0 = Some(line),
