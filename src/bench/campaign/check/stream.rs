@@ -97,7 +97,7 @@ async fn collect(
     stream: &ErtStream,
     clock: &Clock,
 ) -> Vec<Arc<Frame>> {
-    let mut feed = stream.subscribe();
+    let mut feed = stream.follow();
     let needed = clock.wall(FRAMES_MIN as f64 / config.frame_rate_hz());
     let deadline: Instant = clock.now() + 2 * needed + frame_age + Duration::from_secs(1);
     let mut frames: Vec<Arc<Frame>> = Vec::with_capacity(FRAMES_MIN);
