@@ -151,7 +151,7 @@ impl Parts {
 }
 
 /// Prediction for one setting or a whole plan.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct Estimate {
     /// Number of attached tips; absent for a whole plan and for manual trials.
     pub tips: Option<u8>,
@@ -167,13 +167,6 @@ pub struct Estimate {
     pub parts: Parts,
     /// Disk space of the stored data, bytes.
     pub disk_bytes: u64,
-}
-
-impl Estimate {
-    fn nothing(tips: Option<u8>) -> Self {
-        let parts = Parts::default();
-        Self { tips, trials: 0, duration_s: 0.0, low_s: 0.0, high_s: 0.0, parts, disk_bytes: 0 }
-    }
 }
 
 /// Assumptions that the bench does not state.
@@ -243,7 +236,7 @@ pub fn estimate(plan: &Plan, bench: &Bench) -> Estimates {
         setting.low_s = low.duration_s;
         setting.high_s = high.duration_s;
     }
-    let mut whole = Estimate::nothing(None);
+    let mut whole = Estimate::default();
     for setting in &settings {
         whole.trials += setting.trials;
         whole.duration_s += setting.duration_s;
@@ -266,10 +259,10 @@ struct Walk<'a> {
 impl<'a> Walk<'a> {
     fn through(plan: &'a Plan, bench: &'a Bench, assumed: &'a Assumed) -> Vec<Estimate> {
         let mut walk = Self { plan, bench, assumed, here: None };
-        let mut settings = vec![Estimate::nothing(None)];
+        let mut settings = vec![Estimate::default()];
         for step in &plan.steps {
             if let Step::TipChange { tips, .. } = step {
-                settings.push(Estimate::nothing(Some(*tips)));
+                settings.push(Estimate { tips: Some(*tips), ..Estimate::default() });
             }
             if let Some(setting) = settings.last_mut() {
                 walk.step(step, setting);
