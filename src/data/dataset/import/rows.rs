@@ -29,16 +29,9 @@ const IMPORTED_FORCE_MAX_N: f64 = 100_000.0;
 /// Largest plausible magnitude of a voltage, V: beyond it the unit is another one, such as mV or counts.
 const VOLTAGE_MAX_V: f32 = 1000.0;
 
-/// Names of the columns of a file that an import reads.
-pub fn read(schema: &Schema) -> Vec<String> {
-    let names = schema.fields().iter().map(|field| field.name());
-    names.filter(|name| is_read(name)).cloned().collect()
-}
-
-/// Names of the columns of a file that an import ignores.
-pub fn ignored(schema: &Schema) -> Vec<String> {
-    let names = schema.fields().iter().map(|field| field.name());
-    names.filter(|name| !is_read(name)).cloned().collect()
+/// Names of the columns of a file that an import reads, and of those that it ignores.
+pub fn columns(schema: &Schema) -> (Vec<String>, Vec<String>) {
+    schema.fields().iter().map(|field| field.name().clone()).partition(|name| is_read(name))
 }
 
 /// Converts batches, one after the other, to trials; checks that no key occurs twice.

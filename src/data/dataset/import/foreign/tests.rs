@@ -10,7 +10,7 @@ use zip::{CompressionMethod, ZipWriter};
 use super::csv::Csv;
 use crate::dataset::error::{DatasetError, DatasetResult};
 use crate::dataset::import::coordinates::Coordinates;
-use crate::dataset::import::rows::{Reader, ignored};
+use crate::dataset::import::rows::{Reader, columns};
 use crate::dataset::import::sensor::ImportedSensor;
 use crate::dataset::import::source::Source;
 use crate::store::{Contact, ImportedTrial};
@@ -27,7 +27,7 @@ fn read(name: &str, bytes: &[u8]) -> DatasetResult<(Vec<ImportedTrial>, Vec<Stri
     let mut reader = Reader::new(name, &sensor, Coordinates::default());
     reader.check(source.schema()).map_err(DatasetError::Problems)?;
     source.extent().needed(name, &sensor).map_err(DatasetError::Problems)?;
-    let left_out = ignored(source.schema());
+    let (_, left_out) = columns(source.schema());
     let mut trials = Vec::new();
     let rows = source.extent().rows();
     for batch in source.batches()? {
