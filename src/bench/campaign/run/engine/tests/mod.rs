@@ -1,6 +1,7 @@
 //! The engine on a bench of stand-ins: what resets, arms and moves, and what does not.
 
 use std::collections::BTreeMap;
+use std::fmt::Debug;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
@@ -132,6 +133,14 @@ fn signs(engine: &Engine) -> u64 {
     engine.control.inbox.status.borrow().attended.signs
 }
 
+/// The message of the trip of this kind that has ended a motion.
+fn tripped<T: Debug>(ended: Result<T, Halt>, kind: TripKind) -> String {
+    match ended {
+        Err(Halt::Trip(trip)) if trip.kind == kind => trip.detail,
+        _ => panic!("no trip {kind:?}: {ended:?}"),
+    }
+}
+
 /// The answer of a request whose caller was told that it failed.
 fn abandoned() -> Answer {
     oneshot::channel().0
@@ -253,10 +262,8 @@ async fn after_a_suspension_of_the_computer_nothing_moves_before_a_person_resets
     suspended_s.store(60, Ordering::SeqCst);
     let (stage, control) = parts(&mut engine);
     let moved = stage.travel(control, &[Target::of(AxisName::X, 100.0)]).await;
-    let halt = moved.unwrap_err();
-    let trip = halt.as_trip().expect("a trip");
-    assert_eq!(trip.kind, TripKind::Service);
-    assert_eq!(trip.detail, "the computer was suspended for 60 s");
+    let detail = tripped(moved, TripKind::Service);
+    assert_eq!(detail, "the computer was suspended for 60 s");
     assert_eq!(axes.x.starts.load(Ordering::SeqCst), 0);
 
     // A run that was to begin in the night.

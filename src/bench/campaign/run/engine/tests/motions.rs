@@ -4,7 +4,7 @@ use std::cell::Cell;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 
-use super::{answered, signs, suspensions, with_handle};
+use super::{answered, signs, suspensions, tripped, with_handle};
 use crate::campaign::bench::interlock::TripKind;
 use crate::campaign::bench::rig_state::RigState;
 use crate::campaign::bench::stand_in::StandIn;
@@ -106,8 +106,7 @@ async fn a_suspension_of_the_computer_during_a_raise_trips_although_a_request_ca
     };
     let (both, asked) = engine.control.attending_to_the_end(raise, &Cell::default()).await;
     assert_eq!(both, (Ok(()), Ok(())));
-    let halt = asked.unwrap_err();
-    assert_eq!(halt.as_trip().map(|trip| trip.kind), Some(TripKind::Service), "{halt:?}");
+    tripped(asked, TripKind::Service);
 }
 
 #[tokio::test]

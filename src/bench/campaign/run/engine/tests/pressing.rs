@@ -6,7 +6,7 @@ use std::time::Duration;
 use parking_lot::Mutex;
 
 use super::super::Engine;
-use super::{begin, engine, job, parts, surface, with_handle};
+use super::{begin, engine, job, parts, surface, tripped, with_handle};
 use crate::campaign::bench::descent::Descent;
 use crate::campaign::bench::interlock::TripKind;
 use crate::campaign::bench::stage::{AxisName, Stage};
@@ -161,9 +161,8 @@ async fn a_press_whose_samples_are_late_at_the_slowest_motion_of_the_drive_trips
         }
     };
     let (pressed, all) = tokio::join!(press, tokio::time::timeout(HAPPENS_WITHIN, stops));
-    let halt = pressed.unwrap_err();
-    let trip = halt.as_trip().expect("a trip");
-    assert_eq!((trip.kind, all.is_ok()), (TripKind::Stale, true), "{}", trip.detail);
+    tripped(pressed, TripKind::Stale);
+    assert!(all.is_ok());
     assert_eq!(axes.z.stops.load(Ordering::SeqCst), 20, "by its safe end it is stopped again");
 }
 
@@ -198,12 +197,11 @@ async fn the_first_sample_of_a_press_is_late_from_when_its_start_was_sent() {
 #[tokio::test]
 async fn a_press_does_not_start_on_a_sample_that_is_too_old_once_z_was_read() {
     let (axes, mut engine) = engine();
-    let stage = engine.connection.as_mut().unwrap().stage.as_mut().unwrap();
+    let (stage, control) = parts(&mut engine);
     stage.config.limits.sample_age_ms = Some(100);
     // Before the start z is read after the cells.
     *axes.z.status_takes.lock() = Duration::from_millis(300);
-    let halt = stage.press_to(&mut engine.control, 10.0).await.unwrap_err();
-    assert_eq!(halt.as_trip().expect("a trip").kind, TripKind::Stale, "{halt:?}");
+    tripped(stage.press_to(control, 10.0).await, TripKind::Stale);
     assert_eq!(axes.z.starts.load(Ordering::SeqCst), 0);
 }
 
@@ -232,10 +230,8 @@ async fn a_touch_off_searches_no_tip_below_the_window_of_the_surface() {
         // In this order: if both are due, the surface has sunk before the tips are raised from it.
         let (sunk, touched) = futures::join!(tokio::time::timeout(HAPPENS_WITHIN, sinks), touches);
         assert!(sunk.is_ok(), "{touched:?}");
-        let halt = touched.unwrap_err();
-        let trip = halt.as_trip().expect("a trip");
-        assert_eq!(trip.kind, kind, "{}", trip.detail);
-        assert!(trip.detail.starts_with(words), "{}", trip.detail);
+        let detail = tripped(touched, kind);
+        assert!(detail.starts_with(words), "{detail}");
         let deepest_mm = axes.z.targets.lock().iter().copied().fold(0.0, f64::max);
         assert_eq!(deepest_mm, bottom_mm);
     }
@@ -323,8 +319,7 @@ async fn no_place_is_touched_that_an_axis_has_left_during_the_tare() {
     };
     let both = async { futures::join!(leave, touches) };
     let ((), touched) = tokio::time::timeout(HAPPENS_WITHIN, both).await.expect("it trips");
-    let halt = touched.unwrap_err();
-    let trip = halt.as_trip().expect("a trip");
-    assert!(trip.detail.starts_with("x measured at "), "{}", trip.detail);
+    let detail = tripped(touched, TripKind::Position);
+    assert!(detail.starts_with("x measured at "), "{detail}");
     assert_eq!(axes.z.starts.load(Ordering::SeqCst), 1, "it was raised only");
 }

@@ -6,7 +6,7 @@ use std::time::Duration;
 use tokio::sync::oneshot;
 use tokio::time::Instant;
 
-use super::{engine, job, parts, with_handle};
+use super::{engine, job, parts, tripped, with_handle};
 use crate::campaign::bench::interlock::TripKind;
 use crate::campaign::bench::rig_state::RigState;
 use crate::campaign::bench::stage::AxisName;
@@ -107,8 +107,7 @@ async fn z_that_homes_into_a_load_before_its_start_is_acknowledged_is_stopped() 
         axes.cells.volts.lock()[0] = 1.0;
     };
     let (homed, ()) = tokio::join!(homing, grows);
-    let halt = homed.expect("it ends").unwrap_err();
-    assert_eq!(halt.as_trip().expect("a trip").kind, TripKind::Force, "{halt:?}");
+    tripped(homed.expect("it ends"), TripKind::Force);
 }
 
 #[tokio::test]
@@ -153,9 +152,7 @@ async fn no_axis_moves_sideways_unless_z_is_homed_at_rest_and_clear() {
             let kind = z.alarm.map_or(TripKind::Position, |_| TripKind::Device);
             *axes.z.status.lock() = z;
             let (stage, control) = parts(&mut engine);
-            let moved = stage.travel(control, &[Target::of(name, 10.0)]).await;
-            let halt = moved.unwrap_err();
-            assert_eq!(halt.as_trip().map(|trip| trip.kind), Some(kind), "{halt:?}");
+            tripped(stage.travel(control, &[Target::of(name, 10.0)]).await, kind);
         }
     }
     assert_eq!(lateral_starts(&axes), [0; 3]);
@@ -208,8 +205,7 @@ async fn nothing_moves_under_a_load_before_its_first_sample() {
     stage.tips = 1;
     let target = Target::of(AxisName::Z, 10.0);
     axes.cells.volts.lock()[0] = 4.0;
-    let halt = stage.checked_travel(control, target).await.unwrap_err();
-    assert_eq!(halt.as_trip().map(|trip| trip.kind), Some(TripKind::Force), "{halt:?}");
+    tripped(stage.checked_travel(control, target).await, TripKind::Force);
     assert_eq!(axes.z.starts.load(Ordering::SeqCst), 0);
     axes.cells.volts.lock()[0] = 0.5;
     stage.begin_watch();
@@ -235,10 +231,8 @@ async fn a_lateral_motion_ends_when_z_sinks_or_a_cell_reads_a_load() {
             axes.cells.volts.lock()[0] = volts;
         };
         let (moved, ()) = tokio::join!(travel, touches);
-        let halt = moved.unwrap_err();
-        let trip = halt.as_trip().expect("a trip");
-        assert_eq!(trip.kind, kind);
-        assert!(trip.detail.starts_with(words), "{}", trip.detail);
+        let detail = tripped(moved, kind);
+        assert!(detail.starts_with(words), "{detail}");
         assert_eq!(axes.x.starts.load(Ordering::SeqCst), 1);
     }
 }
@@ -309,9 +303,7 @@ async fn no_axis_goes_on_without_a_sample_while_the_wire_still_waits_for_one() {
             stage.travel(control, &[target]).await
         };
         let (moved, ()) = tokio::join!(travel, silence(&axes, axis));
-        let halt = moved.unwrap_err();
-        let trip = halt.as_trip().expect("a trip");
-        assert_eq!(trip.kind, TripKind::Stale, "{}", trip.detail);
+        tripped(moved, TripKind::Stale);
         assert!(began.elapsed() < Duration::from_secs(2), "{:?}", began.elapsed());
     }
 }
@@ -330,8 +322,7 @@ async fn no_axis_goes_on_while_the_wire_still_waits_for_the_reply_to_its_start()
         } else {
             stage.travel(control, &[target]).await
         };
-        let halt = moved.unwrap_err();
-        assert_eq!(halt.as_trip().expect("a trip").kind, TripKind::Stale, "{halt:?}");
+        tripped(moved, TripKind::Stale);
         assert!(began.elapsed() < Duration::from_secs(2), "{:?}", began.elapsed());
     }
 }
@@ -362,8 +353,7 @@ async fn no_axis_goes_on_sideways_while_z_is_read_too_rarely_although_each_reply
         };
         // In this order: if both are due, they are slow before the start is acknowledged.
         let ((), moved) = futures::join!(slows, tokio::time::timeout(ENDS_WITHIN, moves));
-        let halt = moved.expect("it ends").unwrap_err();
-        assert_eq!(halt.as_trip().map(|trip| trip.kind), Some(TripKind::Stale), "{halt:?}");
+        tripped(moved.expect("it ends"), TripKind::Stale);
     }
 }
 
@@ -389,8 +379,7 @@ async fn no_axis_goes_on_homing_without_its_status_or_the_reply_to_its_start() {
             *axis.status_takes.lock() = 2 * ENDS_WITHIN;
         };
         let (homed, ()) = tokio::join!(homing, falls_silent);
-        let halt = homed.expect("it ends").unwrap_err();
-        assert_eq!(halt.as_trip().expect("a trip").kind, TripKind::Stale, "{name:?} {halt:?}");
+        tripped(homed.expect("it ends"), TripKind::Stale);
     }
 }
 
@@ -409,8 +398,7 @@ async fn z_that_homes_is_read_although_the_cells_are_silent() {
         axes.z.status.lock().alarm = Some(1);
     };
     let (homed, ()) = tokio::join!(homing, fails);
-    let halt = homed.expect("it ends").unwrap_err();
-    assert_eq!(halt.as_trip().expect("a trip").kind, TripKind::Device, "{halt:?}");
+    tripped(homed.expect("it ends"), TripKind::Device);
 }
 
 #[tokio::test]
