@@ -8,7 +8,7 @@ use jiff::Timestamp;
 
 use super::super::recovery::BY_HAND;
 use super::super::{Attempts, Next};
-use super::{begin, job, signs, trip, with_handle};
+use super::{asked_while_moving, begin, job, signs, trip, with_handle};
 use crate::campaign::bench::interlock::TripKind;
 use crate::campaign::bench::rig_state::RigState;
 use crate::campaign::run::halt::Halt;
@@ -90,11 +90,7 @@ async fn a_run_does_not_resume_by_itself_if_a_person_requested_a_motion_shortly_
         let (job, (_, mut engine, handle)) = (job(), with_handle());
         begin(&mut engine, &job);
         if is_operated {
-            let moves = async {
-                tokio::task::yield_now().await;
-                engine.control.attend()
-            };
-            let (refused, moved) = tokio::join!(handle.ask(Request::Home), moves);
+            let (refused, moved) = asked_while_moving(&mut engine, &handle, Request::Home).await;
             assert!(refused.is_err() && moved.is_ok(), "{refused:?}");
         }
         // Without a handle there is no request to wait for.
@@ -118,11 +114,7 @@ async fn no_waiting_run_begins_after_a_run_of_which_a_pause_was_requested_as_it_
         let (job, (_, mut engine, handle)) = (job(), with_handle());
         begin(&mut engine, &job);
         engine.control.run_event(RunEvent::Stop).unwrap();
-        let moves = async {
-            tokio::task::yield_now().await;
-            engine.control.attend()
-        };
-        let (refused, moved) = tokio::join!(handle.ask(request), moves);
+        let (refused, moved) = asked_while_moving(&mut engine, &handle, request).await;
         assert!(refused.is_err() && moved.is_ok(), "{refused:?}");
         assert_eq!((engine.control.run(), signs(&engine)), (RunState::Stopping, 1));
     }

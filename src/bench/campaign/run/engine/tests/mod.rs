@@ -156,6 +156,19 @@ async fn stop(engine: &mut Engine) {
     }
 }
 
+/// The answer to a request that arrives while something moves, and whether the motion goes on.
+async fn asked_while_moving(
+    engine: &mut Engine,
+    handle: &Handle,
+    request: Request,
+) -> (Result<(), Refusal>, Result<(), Halt>) {
+    let moves = async {
+        tokio::task::yield_now().await;
+        engine.control.attend()
+    };
+    tokio::join!(handle.ask(request), moves)
+}
+
 #[tokio::test]
 async fn a_start_and_a_resume_whose_caller_was_told_that_they_failed_are_not_carried_out() {
     let (job, (_, mut engine)) = (job(), engine());
@@ -424,11 +437,7 @@ async fn an_abort_of_a_motion_that_arrives_once_a_run_has_begun_aborts_that_run(
     let job = job();
     let (_, mut engine, handle) = with_handle();
     begin(&mut engine, &job);
-    let moves = async {
-        tokio::task::yield_now().await;
-        engine.control.attend()
-    };
-    let (aborted, moved) = tokio::join!(handle.ask(Request::AbortMotion), moves);
+    let (aborted, moved) = asked_while_moving(&mut engine, &handle, Request::AbortMotion).await;
     assert!(aborted.is_ok() && matches!(moved, Err(Halt::Asked)), "{aborted:?}");
     assert_eq!(engine.control.run(), RunState::Aborting);
 }
@@ -467,11 +476,7 @@ async fn no_run_begins_if_a_pause_or_an_abort_came_after_the_end_of_the_run_befo
     assert!(matches!(started, Err(Refusal::Busy(_))), "{started:?}");
     // One that has begun before it continues; what waits for its end is dropped.
     begin(&mut engine, &job);
-    let moves = async {
-        tokio::task::yield_now().await;
-        engine.control.attend()
-    };
-    let (noted, moved) = tokio::join!(handle.ask(Request::CameLate), moves);
+    let (noted, moved) = asked_while_moving(&mut engine, &handle, Request::CameLate).await;
     assert!(noted.is_ok() && moved.is_ok(), "{moved:?}");
     assert_eq!((engine.control.run(), signs(&engine)), (RunState::Running, 2));
 }

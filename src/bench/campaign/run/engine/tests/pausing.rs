@@ -6,7 +6,7 @@ use std::time::Duration;
 use jiff::Timestamp;
 
 use super::super::{Attempts, Next};
-use super::{begin, engine, job, parts, surface, trip, with_handle};
+use super::{asked_while_moving, begin, engine, job, parts, surface, trip, with_handle};
 use crate::campaign::bench::touch_off::touch_off;
 use crate::campaign::run::eta::Pace;
 use crate::campaign::run::halt::Halt;
@@ -167,11 +167,7 @@ async fn a_suspension_of_a_run_that_has_ended_does_not_halt_the_next_one() {
     let (job, (_, mut engine, handle)) = (job(), with_handle());
     begin(&mut engine, &job);
     let late = Request::Suspend(RunUid::new(), "the model does not fit the skin".into());
-    let moves = async {
-        tokio::task::yield_now().await;
-        engine.control.attend()
-    };
-    let (suspended, moved) = tokio::join!(handle.ask(late), moves);
+    let (suspended, moved) = asked_while_moving(&mut engine, &handle, late).await;
     let words = "suspend is not possible: run 1 is active";
     assert_eq!(suspended, Err(Refusal::State(words.into())));
     assert!(moved.is_ok(), "{moved:?}");
