@@ -94,6 +94,13 @@ impl StandIn {
         *self.status.lock()
     }
 
+    /// Waits until a motion or homing of it was started.
+    pub async fn started(&self) {
+        while self.starts.load(Ordering::SeqCst) == 0 {
+            tokio::time::sleep(Duration::from_millis(1)).await;
+        }
+    }
+
     fn reply(&self, operation: &str) -> Result<(), RigError> {
         if self.replies.load(Ordering::SeqCst) { Ok(()) } else { Err(self.silent(operation)) }
     }

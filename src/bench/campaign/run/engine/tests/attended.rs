@@ -52,9 +52,7 @@ async fn a_homing_for_an_automatic_resume_ends_once_a_person_takes_the_lock_or_o
         *axes.x.after_start.lock() = Some(homes);
         let (x, journal) = (axes.x.clone(), axes.journal.clone());
         let comes = async move {
-            while x.starts.load(Ordering::SeqCst) == 0 {
-                tokio::time::sleep(Duration::from_millis(5)).await;
-            }
+            x.started().await;
             if is_locked {
                 *journal.locked_at.lock() = Some(Timestamp::now());
             } else {

@@ -74,15 +74,12 @@ async fn an_abort_during_a_raise_is_accepted_at_once_and_ends_the_motion_once_z_
 #[tokio::test]
 async fn a_raise_that_fails_after_an_abort_is_not_repeated_before_the_safe_end() {
     let (axes, mut engine, handle) = with_handle();
-    let starts = || axes.z.starts.load(Ordering::SeqCst);
     // It moves until it reports an alarm.
     let down = AxisStatus { position: 60.0, ..axes.z.present() };
     *axes.z.status.lock() = down;
     *axes.z.after_start.lock() = Some(AxisStatus { position: 55.0, moving: true, ..down });
     let abort = async {
-        while starts() == 0 {
-            tokio::time::sleep(Duration::from_millis(1)).await;
-        }
+        axes.z.started().await;
         let aborted = handle.ask(Request::AbortMotion).await;
         axes.z.status.lock().alarm = Some(1);
         aborted
@@ -91,7 +88,7 @@ async fn a_raise_that_fails_after_an_abort_is_not_repeated_before_the_safe_end()
     let raise = raise_as_planned(&mut engine.control, stage);
     let (aborted, raised) = tokio::join!(abort, raise);
     assert!(aborted.is_ok() && matches!(raised, Err(Halt::Asked)), "{raised:?}");
-    assert_eq!(starts(), 1);
+    assert_eq!(axes.z.starts.load(Ordering::SeqCst), 1);
 }
 
 #[tokio::test]

@@ -312,9 +312,7 @@ async fn no_place_is_touched_that_an_axis_has_left_during_the_tare() {
     stage.tips = 1;
     let touches = touch_off::touch_off(stage, control, &places, 1, jiff::Timestamp::UNIX_EPOCH);
     let leave = async {
-        while axes.x.starts.load(Ordering::SeqCst) == 0 {
-            tokio::time::sleep(Duration::from_millis(1)).await;
-        }
+        axes.x.started().await;
         axes.x.status.lock().position += 1.0;
     };
     let both = async { futures::join!(leave, touches) };

@@ -21,13 +21,6 @@ use crate::schedule::plan::Step;
 /// Longest wait of a test for a motion that must end, also on a loaded machine.
 const ENDS_WITHIN: Duration = Duration::from_secs(10);
 
-/// Waits until a motion or homing of an axis was started.
-async fn started(axis: &StandIn) {
-    while axis.starts.load(Ordering::SeqCst) == 0 {
-        tokio::time::sleep(Duration::from_millis(1)).await;
-    }
-}
-
 /// Motions and homings of x, y and the rotary actuator that were started.
 fn lateral_starts(axes: &StandIns) -> [u64; 3] {
     [&axes.x, &axes.y, &axes.radial].map(|axis| axis.starts.load(Ordering::SeqCst))
@@ -103,7 +96,7 @@ async fn z_that_homes_into_a_load_before_its_start_is_acknowledged_is_stopped() 
     let (stage, control) = parts(&mut engine);
     let homing = tokio::time::timeout(ENDS_WITHIN, stage.home(control, None));
     let grows = async {
-        started(&axes.z).await;
+        axes.z.started().await;
         axes.cells.volts.lock()[0] = 1.0;
     };
     let (homed, ()) = tokio::join!(homing, grows);
@@ -253,7 +246,7 @@ async fn a_jog_on_slow_wires_counts_each_reading_of_the_cells() {
 
 /// Waits until an axis was started; from then on the cells do not reply.
 async fn silence(axes: &StandIns, axis: &StandIn) {
-    started(axis).await;
+    axis.started().await;
     *axes.cells.takes.lock() = Duration::from_secs(20);
 }
 
@@ -345,7 +338,7 @@ async fn no_axis_goes_on_sideways_while_z_is_read_too_rarely_although_each_reply
             stage.travel(control, &targets).await
         };
         let slows = async {
-            started(&axes.x).await;
+            axes.x.started().await;
             let slow = if is_start_slow { &axes.y.starts_take } else { &axes.x.status_takes };
             for takes in [slow, &axes.z.status_takes] {
                 *takes.lock() = Duration::from_millis(200);
@@ -375,7 +368,7 @@ async fn no_axis_goes_on_homing_without_its_status_or_the_reply_to_its_start() {
         stage.config.limits.sample_age_ms = Some(100);
         let homing = tokio::time::timeout(ENDS_WITHIN, stage.home(control, None));
         let falls_silent = async {
-            started(axis).await;
+            axis.started().await;
             *axis.status_takes.lock() = 2 * ENDS_WITHIN;
         };
         let (homed, ()) = tokio::join!(homing, falls_silent);
@@ -394,7 +387,7 @@ async fn z_that_homes_is_read_although_the_cells_are_silent() {
     stage.config.limits.sample_age_ms = Some(100);
     let homing = tokio::time::timeout(ENDS_WITHIN, stage.home(control, None));
     let fails = async {
-        started(&axes.z).await;
+        axes.z.started().await;
         axes.z.status.lock().alarm = Some(1);
     };
     let (homed, ()) = tokio::join!(homing, fails);
