@@ -8,7 +8,7 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::Duration;
 
 use async_trait::async_trait;
-use jiff::Timestamp;
+use jiff::{SignedDuration, Timestamp};
 use parking_lot::Mutex;
 use serde_json::Value;
 use tokio::sync::broadcast;
@@ -327,6 +327,13 @@ pub struct Forgetful {
     pub times: Mutex<Vec<Timestamp>>,
     /// When a person took the operator lock.
     pub locked_at: Mutex<Option<Timestamp>>,
+}
+
+impl Forgetful {
+    /// A person has taken the operator lock at this time from now, s.
+    pub fn lock(&self, from_now_s: i64) {
+        *self.locked_at.lock() = Some(Timestamp::now() + SignedDuration::from_secs(from_now_s));
+    }
 }
 
 #[async_trait]

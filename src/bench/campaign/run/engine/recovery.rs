@@ -329,8 +329,9 @@ mod tests {
         let (job, (axes, mut engine)) = (job(), engine());
         trip(&mut engine, &job);
         axes.x.replies.store(false, Ordering::SeqCst);
-        let since = jiff::Timestamp::now() + Duration::from_secs(1);
-        *axes.journal.locked_at.lock() = is_locked.then_some(since);
+        if is_locked {
+            axes.journal.lock(1);
+        }
         let mut resumes = 1;
         let mut resume = Automatic::new(&job, &mut resumes, Some("no reply".into()));
         let now = Instant::now();
@@ -430,7 +431,7 @@ mod tests {
         // While the pace of the wires is measured.
         let locks = async {
             drop(status.wait_for(|status| status.rig.state == RigState::Homed).await.unwrap());
-            *axes.journal.locked_at.lock() = Some(jiff::Timestamp::now());
+            axes.journal.lock(0);
         };
         let resumed = engine.resume_automatically(&job, &mut automatic, 0);
         let (resumed, ()) = tokio::join!(resumed, locks);
@@ -450,7 +451,7 @@ mod tests {
         let mut automatic = Some(Automatic::new(&job, &mut resumes, None));
         automatic.as_mut().unwrap().at = Instant::now();
         *axes.cells.takes.lock() = Duration::from_millis(50);
-        let locks = async { *axes.journal.locked_at.lock() = Some(jiff::Timestamp::now()) };
+        let locks = async { axes.journal.lock(0) };
         // In this order: the lock is taken once the cells are awaited.
         let resumed = engine.resume_automatically(&job, &mut automatic, 0);
         let (resumed, ()) = futures::join!(resumed, locks);
@@ -483,10 +484,10 @@ mod tests {
         let ahead = jiff::Timestamp::now() + Duration::from_secs(3600);
         let since = (ahead, halted);
         assert_eq!(engine.control.taken_lock(since).await, None);
-        *axes.journal.locked_at.lock() = Some(jiff::Timestamp::now());
+        axes.journal.lock(0);
         let taken = engine.control.taken_lock(since).await;
         assert!(taken.is_some(), "taken a minute after the halt");
-        *axes.journal.locked_at.lock() = Some(jiff::Timestamp::now() - Duration::from_secs(120));
+        axes.journal.lock(-120);
         let taken = engine.control.taken_lock(since).await;
         assert_eq!(taken, None, "taken a minute before the halt");
     }

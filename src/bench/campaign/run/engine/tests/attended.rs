@@ -4,8 +4,6 @@
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 
-use jiff::Timestamp;
-
 use super::super::recovery::BY_HAND;
 use super::super::{Attempts, Next};
 use super::{asked_while_moving, begin, job, signs, trip, with_handle};
@@ -54,7 +52,7 @@ async fn a_homing_for_an_automatic_resume_ends_once_a_person_takes_the_lock_or_o
         let comes = async move {
             x.started().await;
             if is_locked {
-                *journal.locked_at.lock() = Some(Timestamp::now());
+                journal.lock(0);
             } else {
                 handle.ask(Request::Tare).await.unwrap_err();
             }

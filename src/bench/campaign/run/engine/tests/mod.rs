@@ -191,21 +191,17 @@ async fn a_start_and_a_resume_whose_caller_was_told_that_they_failed_are_not_car
 #[tokio::test]
 async fn no_run_begins_or_resumes_under_a_lock_that_was_taken_while_it_was_armed() {
     let (axes, job) = (StandIns::default(), Arc::new(job()));
-    let lock = |taken_s: i64| {
-        let at = jiff::Timestamp::now() + jiff::SignedDuration::from_secs(taken_s);
-        *axes.journal.locked_at.lock() = Some(at);
-    };
     let is_held = |answer: Result<(), Refusal>| {
         let Err(Refusal::Busy(words)) = answer else { return false };
         words.starts_with("nothing moves before the release of the operator lock (ada")
     };
     let (mut started, handle) = on(&axes);
     started.control.rig_event(RigEvent::Homed).unwrap();
-    lock(1);
+    axes.journal.lock(1);
     assert!(is_held(answered(&mut started, handle.ask(Request::Start(job.clone()))).await));
     assert_eq!((started.control.rig(), started.control.run()), (RigState::Homed, RunState::Idle));
     // The caller of a later start knows of it.
-    lock(-1);
+    axes.journal.lock(-1);
     assert_eq!(answered(&mut started, handle.ask(Request::Start(job.clone()))).await, Ok(()));
 
     let (mut paused, _) = on(&axes);
@@ -213,11 +209,11 @@ async fn no_run_begins_or_resumes_under_a_lock_that_was_taken_while_it_was_armed
     paused.control.rig_event(RigEvent::Reset).unwrap();
     paused.control.rig_event(RigEvent::Homed).unwrap();
     let (waited_for, _caller) = oneshot::channel();
-    lock(1);
+    axes.journal.lock(1);
     assert!(is_held(paused.resume(&job, Some(&waited_for)).await));
     let halted = RunState::Paused(PausedWhy::Trip);
     assert_eq!((paused.control.rig(), paused.control.run()), (RigState::Homed, halted));
-    lock(-1);
+    axes.journal.lock(-1);
     assert_eq!(paused.resume(&job, Some(&waited_for)).await, Ok(()));
 }
 
