@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use super::super::recovery::BY_HAND;
 use super::super::{Attempts, Next};
-use super::{asked_while_moving, begin, job, signs, trip, with_handle};
+use super::{asked_while_moving, begin, job, signs, trip, waiting_for, with_handle};
 use crate::campaign::bench::interlock::TripKind;
 use crate::campaign::bench::rig_state::RigState;
 use crate::campaign::run::halt::Halt;
@@ -35,8 +35,7 @@ async fn nothing_homes_by_itself_after_a_request_to_the_rig_while_the_devices_we
     assert!(matches!(next, Next::Leave) && asked.is_err(), "{asked:?}");
     let starts = [&axes.x, &axes.z].map(|axis| axis.starts.load(Ordering::SeqCst));
     assert_eq!((starts, engine.control.rig()), ([0, 0], RigState::Disarmed));
-    let words = engine.control.inbox.status.borrow().run.as_ref().unwrap().waiting_for.clone();
-    assert_eq!(words.as_deref(), Some(BY_HAND));
+    assert_eq!(waiting_for(&engine).as_deref(), Some(BY_HAND));
 }
 
 #[tokio::test]
@@ -96,9 +95,8 @@ async fn a_run_does_not_resume_by_itself_if_a_person_requested_a_motion_shortly_
         let next = engine.decide(&job, halt, &mut attempts, &mut resumes).await;
         assert!(matches!(next, Next::Leave));
         assert_eq!(resumes, u32::from(!is_operated));
-        let run = engine.control.inbox.status.borrow().run.clone().expect("a run");
         let words = if is_operated { BY_HAND } else { "no reply" };
-        assert_eq!(run.waiting_for.as_deref(), Some(words));
+        assert_eq!(waiting_for(&engine).as_deref(), Some(words));
         engine.control.run_event(RunEvent::Resume).unwrap();
         assert!(!engine.control.take_operated(), "a person has resumed it");
     }

@@ -133,6 +133,11 @@ fn signs(engine: &Engine) -> u64 {
     engine.control.inbox.status.borrow().attended.signs
 }
 
+/// What the run waits for, as text.
+pub(super) fn waiting_for(engine: &Engine) -> Option<String> {
+    engine.control.inbox.status.borrow().run.as_ref().expect("a run").waiting_for.clone()
+}
+
 /// The message of the trip of this kind that has ended a motion.
 fn tripped<T: Debug>(ended: Result<T, Halt>, kind: TripKind) -> String {
     match ended {

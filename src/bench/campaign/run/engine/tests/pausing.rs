@@ -6,7 +6,9 @@ use std::time::Duration;
 use jiff::Timestamp;
 
 use super::super::{Attempts, Next};
-use super::{asked_while_moving, begin, engine, job, parts, surface, trip, with_handle};
+use super::{
+    asked_while_moving, begin, engine, job, parts, surface, trip, waiting_for, with_handle,
+};
 use crate::campaign::bench::touch_off::touch_off;
 use crate::campaign::run::eta::Pace;
 use crate::campaign::run::halt::Halt;
@@ -100,9 +102,8 @@ async fn suspended_while_it_waits(why: &str) -> (Option<String>, RunState) {
     let mut attempts = Attempts::default();
     let (suspended, next) = tokio::join!(suspend, engine.wait(&job, &mut attempts, None));
     assert!(suspended.is_ok() && matches!(next, Next::Leave), "{suspended:?}");
-    let run = engine.control.inbox.status.borrow().run.clone().unwrap();
     assert_eq!(engine.control.take_suspended_for(), None, "it is stated once");
-    (run.waiting_for, engine.control.run())
+    (waiting_for(&engine), engine.control.run())
 }
 
 #[tokio::test]
