@@ -6,6 +6,7 @@ use std::time::Duration;
 use jiff::Timestamp;
 
 use super::super::{Attempts, Next};
+use super::pressing::places;
 use super::{
     asked_while_moving, begin, engine, job, parts, surface, trip, waiting_for, with_handle,
 };
@@ -183,12 +184,7 @@ async fn a_pause_that_is_requested_in_a_touch_off_waits_for_no_further_place() {
     engine.control.run_event(RunEvent::PauseAtCheckpoint).unwrap();
     let (stage, control) = parts(&mut engine);
     stage.tips = 1;
-    let places = job.plan.steps.iter().find_map(|step| match step {
-        Step::TouchOff { places, .. } => Some(places),
-        _ => None,
-    });
-    let places = places.expect("a touch-off");
-    let found = touch_off(stage, control, places, 1, Timestamp::UNIX_EPOCH).await;
+    let found = touch_off(stage, control, places(&job), 1, Timestamp::UNIX_EPOCH).await;
     assert!(matches!(found, Err(Halt::Checkpoint)), "{found:?}");
     assert_eq!(axes.z.present().position, 0.0);
 }

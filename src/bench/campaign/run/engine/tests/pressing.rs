@@ -38,13 +38,13 @@ fn patient(engine: &mut Engine) -> (&mut Stage, &mut Control) {
     (stage, control)
 }
 
-/// The first place of the touch-off.
-fn first_place(job: &Job) -> Stand {
-    let place = job.plan.steps.iter().find_map(|step| match step {
-        Step::TouchOff { places, .. } => places.first().cloned(),
+/// The places of the touch-off.
+pub(super) fn places(job: &Job) -> &[Stand] {
+    let places = job.plan.steps.iter().find_map(|step| match step {
+        Step::TouchOff { places, .. } => Some(places),
         _ => None,
     });
-    place.expect("a touch-off")
+    places.expect("a touch-off")
 }
 
 /// What z reports once its next motion was started: it moves until it is stopped.
@@ -207,7 +207,8 @@ async fn a_press_does_not_start_on_a_sample_that_is_too_old_once_z_was_read() {
 
 #[tokio::test]
 async fn a_touch_off_searches_no_tip_below_the_window_of_the_surface() {
-    let places = [first_place(&job())];
+    let job = job();
+    let first = &places(&job)[..1];
     for (is_felt_again, kind, words) in [
         (true, TripKind::Cell, "arm 2 touched nowhere in the touch-off (skin.surface_z_mm"),
         (false, TripKind::Position, "no cell detected the surface down to z = 70.000 mm (skin."),
@@ -220,7 +221,7 @@ async fn a_touch_off_searches_no_tip_below_the_window_of_the_surface() {
         // No arm but the first touches.
         *axes.cells.surface.lock() = Some((axes.z.clone(), bottom_mm - 1.0));
         let at = jiff::Timestamp::now();
-        let touches = touch_off::touch_off(stage, control, &places, 1, at);
+        let touches = touch_off::touch_off(stage, control, first, 1, at);
         let sinks = async {
             stopped(&axes, 1).await;
             if !is_felt_again {
@@ -263,12 +264,9 @@ async fn disturbed(during: Phase, change: fn(&mut AxisStatus)) -> (TripKind, Pha
     stage.config.limits.frame_age_ms = 60_000;
     stage.tips = 1;
     stage.surface = Some(surface());
-    let configuration = job.plan.steps.iter().find_map(|step| match step {
-        Step::Configuration(c) => Some(c),
-        _ => None,
-    });
+    let configuration = job.plan.configurations().next().expect("one");
     let pressing = Pressing { run: job.run, plan: &job.plan, attempt: 1 };
-    let press = pressing.configuration(stage, control, configuration.expect("one"), &[0]);
+    let press = pressing.configuration(stage, control, configuration, &[0]);
     let mut status = handle.watch_status();
     let disturb = async {
         let is_in = |now: &Status| now.run.as_ref().is_some_and(|run| run.phase == during);
@@ -306,11 +304,11 @@ async fn an_axis_that_leaves_its_place_ends_the_press_before_frames_are_taken_or
 
 #[tokio::test]
 async fn no_place_is_touched_that_an_axis_has_left_during_the_tare() {
-    let places = [first_place(&job())];
-    let (axes, mut engine) = engine();
+    let (job, (axes, mut engine)) = (job(), engine());
     let (stage, control) = patient(&mut engine);
     stage.tips = 1;
-    let touches = touch_off::touch_off(stage, control, &places, 1, jiff::Timestamp::UNIX_EPOCH);
+    let (first, at) = (&places(&job)[..1], jiff::Timestamp::UNIX_EPOCH);
+    let touches = touch_off::touch_off(stage, control, first, 1, at);
     let leave = async {
         axes.x.started().await;
         axes.x.status.lock().position += 1.0;

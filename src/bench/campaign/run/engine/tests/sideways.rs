@@ -16,7 +16,6 @@ use crate::campaign::run::halt::Halt;
 use crate::campaign::shown::command::Request;
 use crate::rig::traits::AxisStatus;
 use crate::schedule::configuration::Stand;
-use crate::schedule::plan::Step;
 
 /// Longest wait of a test for a motion that must end, also on a loaded machine.
 const ENDS_WITHIN: Duration = Duration::from_secs(10);
@@ -439,11 +438,8 @@ async fn a_radius_is_approached_by_the_backlash_although_a_motion_has_ended_clos
     let (stage, control) = parts(&mut engine);
     let slot = stage.config.slot.clone();
     assert_eq!(slot.backlash_mm, 0.3);
-    let stand = job.plan.steps.iter().find_map(|step| match step {
-        Step::Configuration(c) => Some(c.stand.clone()),
-        _ => None,
-    });
-    let stand = |radius_mm| Stand { radius_mm, ..stand.clone().expect("a configuration") };
+    let first = job.plan.configurations().next().expect("a configuration");
+    let stand = |radius_mm| Stand { radius_mm, ..first.stand.clone() };
     // Radii that were commanded since the last call.
     let commanded = || {
         let angles = std::mem::take(&mut *axes.radial.targets.lock());
