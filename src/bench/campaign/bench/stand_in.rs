@@ -227,6 +227,12 @@ impl LoadCells for Cells {
     }
 }
 
+/// A frame that has just arrived, with counts of 1 mV.
+pub fn frame(sequence: u32, counts: Vec<i16>) -> Arc<Frame> {
+    let received = Instant::now();
+    Arc::new(Frame { sequence, device_time_us: 0, volts_per_count: 1e-3, counts, received })
+}
+
 /// A skin that nothing touches; it sends frames when they are taken.
 struct Skin;
 
@@ -245,12 +251,7 @@ impl SkinReader for Skin {
     }
 
     async fn take(&self, _: Instant, count: usize) -> Result<Vec<Arc<Frame>>, RigError> {
-        let frame = |sequence| {
-            let (device_time_us, volts_per_count, counts) = (0, 1e-3, vec![0; 784]);
-            let received = Instant::now();
-            Arc::new(Frame { sequence, device_time_us, volts_per_count, counts, received })
-        };
-        Ok((1..).take(count).map(frame).collect())
+        Ok((1..).take(count).map(|sequence| frame(sequence, vec![0; 784])).collect())
     }
 }
 
