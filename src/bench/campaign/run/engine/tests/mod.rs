@@ -6,7 +6,6 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
-use sim_core::sensor::Sensor;
 use tokio::sync::oneshot;
 use tokio::time::Instant;
 
@@ -31,8 +30,8 @@ use crate::journal::{ExitStatus, Journal};
 use crate::record::TouchOffRecord;
 use crate::rig::setup::RigSetup;
 use crate::rig::traits::AxisStatus;
-use crate::schedule::experiment::Experiment;
-use crate::schedule::plan::{Kind, Plan};
+use crate::schedule::plan::Kind;
+use crate::schedule::tests::{hex, planned};
 use crate::suspension::Suspensions;
 
 mod attended;
@@ -73,15 +72,10 @@ fn on(axes: &StandIns) -> (Engine, Handle) {
 
 /// A run of one tip.
 pub(super) fn job() -> Job {
-    let text = "name = 'stand-in'\nseed = 3\nsensor = 's'\n[real_hex]\ntips = [1]\n\
-                configurations = 2\ndepths = 2\n";
-    let experiment = Experiment::from_toml("t.toml", text).expect("sound");
-    let sensor = include_str!("../../../../../../experiments/sensors/ert-28.toml");
-    let sensor = Sensor::from_toml(sensor).expect("sound");
     Job {
         run: RunUid::new(),
         scan_id: 1,
-        plan: Plan::of("t.toml", &experiment, &sensor).expect("sound"),
+        plan: planned(&hex(3, "tips = [1]\nconfigurations = 2\ndepths = 2\n")),
         predicted_trial_s: 1.0,
         auto_resume: true,
         bytes_per_trial: 4000,
