@@ -64,7 +64,7 @@ impl<'a> Lattice<'a> {
     }
 
     /// Points under the attached tips, arm 1 first; none if a tip would not be on a point.
-    pub fn tip_points(&self, configuration: Configuration) -> Option<Vec<u32>> {
+    fn tip_points(&self, configuration: Configuration) -> Option<Vec<u32>> {
         let point = self.sensor.points().get(configuration.centre as usize)?;
         let (half_column, row) = place(point);
         let k = i64::from(configuration.radius_pitches);

@@ -14,7 +14,7 @@ use super::order::Place;
 use super::plan::{Plan, Step};
 
 /// Size of a stored frame in addition to its counts, bytes.
-pub const FRAME_BYTES: u64 = 250;
+const FRAME_BYTES: u64 = 250;
 /// Size of a stored configuration in addition to its trials: tare, events, bytes.
 pub const CONFIGURATION_BYTES: u64 = 1500;
 

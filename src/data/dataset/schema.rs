@@ -17,7 +17,7 @@ pub const VOLTAGES_V: &str = "voltages_v";
 /// Column of the number of frames in the mean.
 pub const FRAME_COUNT: &str = "frame_count";
 /// Column of a rendered force map.
-pub const FORCE_MAP_N: &str = "force_map_n";
+const FORCE_MAP_N: &str = "force_map_n";
 /// Column of the part of the split.
 pub const SPLIT: &str = "split";
 

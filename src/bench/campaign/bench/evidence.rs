@@ -81,7 +81,7 @@ impl SkinWatch {
 
     /// RMS difference of a frame from the untouched skin over its channels, with the noise
     /// subtracted, V. Returns none if the number of channels differs.
-    pub fn touch_v(&self, frame: &Frame) -> Option<f64> {
+    fn touch_v(&self, frame: &Frame) -> Option<f64> {
         let voltages = frame.voltages_v();
         if voltages.len() != self.untouched_v.len() || voltages.is_empty() {
             return None;

@@ -67,7 +67,7 @@ pub struct Entry {
 }
 
 /// Setting that a step belongs to; none for manual trials.
-pub fn setting_of(step: &Step) -> Option<u32> {
+fn setting_of(step: &Step) -> Option<u32> {
     match step {
         Step::TipChange { setting, .. } | Step::TouchOff { setting, .. } => Some(*setting),
         Step::Reference(press) => Some(press.setting),

@@ -27,7 +27,7 @@ impl StopLatch {
     }
 
     /// Whether the stop is latched, so that motion is refused.
-    pub fn is_latched(&self) -> bool {
+    fn is_latched(&self) -> bool {
         self.0.load(Ordering::SeqCst)
     }
 }
