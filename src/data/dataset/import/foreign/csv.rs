@@ -16,9 +16,9 @@ use csv::{ByteRecord, ReaderBuilder};
 use super::batch;
 use super::line_limit::{Allowance, LINE_MAX_BYTES, LineLimit};
 use crate::dataset::error::{DatasetError, DatasetResult};
-use crate::dataset::import::BATCH_TRIALS;
 use crate::dataset::import::columns::{FRAMES_V, Scalar, scalar};
 use crate::dataset::import::extent::Extent;
+use crate::dataset::import::{BATCH_TRIALS, whole};
 use crate::dataset::schema::VOLTAGES_V;
 use crate::problem::Problem;
 use crate::simulate::schema::{CONTACTS, SIM_VOLTAGES_V};
@@ -220,7 +220,7 @@ impl Csv {
 
     fn broken(&self, error: &csv::Error) -> DatasetError {
         let limit = format!("must be CSV, each line with as many cells as the first: {error}");
-        DatasetError::Problems(vec![Problem::whole(&self.file, limit)])
+        whole(&self.file, limit)
     }
 
     /// Names of the columns that are read, and of those that are ignored.
