@@ -5,7 +5,7 @@
 //! that the bench does not state are in `Assumed`, in three cases: low, likely, high. The time of a
 //! person (tip changes, weights) is not included: it was not measured.
 
-use crate::record::{LOG_BYTES, TRIAL_BYTES, VOLTAGES_BYTES};
+use crate::record::{LOG_BYTES, RAW_FRAME_BYTES, TRIAL_BYTES, VOLTAGES_BYTES};
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
@@ -13,8 +13,6 @@ use super::configuration::Stand;
 use super::order::Place;
 use super::plan::{Plan, Step};
 
-/// Size of a stored frame in addition to its counts, bytes.
-const FRAME_BYTES: u64 = 250;
 /// Size of a stored configuration in addition to its trials: tare, events, bytes.
 pub const CONFIGURATION_BYTES: u64 = 1500;
 
@@ -27,7 +25,7 @@ pub fn fixed_bytes(plan: &Plan) -> u64 {
 
 /// Disk space of a stored trial with its twin, bytes.
 pub fn trial_bytes(channels: u64, frames_per_trial: u32) -> u64 {
-    let (frame, voltages) = (FRAME_BYTES + 2 * channels, VOLTAGES_BYTES + 4 * channels);
+    let (frame, voltages) = (RAW_FRAME_BYTES + 2 * channels, VOLTAGES_BYTES + 4 * channels);
     TRIAL_BYTES + u64::from(frames_per_trial) * frame + 2 * voltages
 }
 
