@@ -311,17 +311,16 @@ impl<'a> Reader<'a> {
                 [x_mm, y_mm] = self.map.apply([x, y]).map(Some);
             }
             let (width_mm, height_mm) = (self.sensor.width_mm, self.sensor.height_mm);
-            for (name, value, least, most) in [
-                ("x_mm", x_mm, 0.0, width_mm),
-                ("y_mm", y_mm, 0.0, height_mm),
-                ("force_n", force_n, 0.0, IMPORTED_FORCE_MAX_N),
-                ("diameter_mm", diameter_mm, 0.0, width_mm.max(height_mm)),
+            for (name, value, from, most) in [
+                ("x_mm", x_mm, "from", width_mm),
+                ("y_mm", y_mm, "from", height_mm),
+                ("force_n", force_n, "from", IMPORTED_FORCE_MAX_N),
+                ("diameter_mm", diameter_mm, "above", width_mm.max(height_mm)),
             ] {
                 if let Some(value) = value
-                    && (!(least..=most).contains(&value) || name == "diameter_mm" && value == 0.0)
+                    && (!(0.0..=most).contains(&value) || from == "above" && value == 0.0)
                 {
-                    let from = if name == "diameter_mm" { "above" } else { "from" };
-                    let limit = format!("must be {from} {least} to {most}, or null");
+                    let limit = format!("must be {from} 0 to {most}, or null");
                     self.wrong(&format!("contacts[{contact}].{name}"), value, limit);
                 }
             }
@@ -339,11 +338,9 @@ impl<'a> Reader<'a> {
             return Vec::new();
         };
         let words = lists.as_list::<i64>().value(at);
-        let words: Vec<String> =
-            words.as_string::<i32>().iter().flatten().map(str::to_owned).collect();
         let mut flags = Vec::new();
-        for word in words {
-            match serde_json::from_value(word.clone().into()) {
+        for word in words.as_string::<i32>().iter().flatten() {
+            match serde_json::from_value(word.into()) {
                 Ok(flag) => flags.push(flag),
                 Err(error) => self.wrong("flags", word, error.to_string()),
             }
