@@ -127,6 +127,11 @@ fn signs(engine: &Engine) -> u64 {
     engine.control.inbox.status.borrow().attended.signs
 }
 
+/// The trip that is latched.
+fn latched(engine: &Engine) -> Option<Trip> {
+    engine.control.inbox.status.borrow().rig.trip.clone()
+}
+
 /// What the run waits for, as text.
 pub(super) fn waiting_for(engine: &Engine) -> Option<String> {
     engine.control.inbox.status.borrow().run.as_ref().expect("a run").waiting_for.clone()
@@ -324,7 +329,7 @@ async fn an_e_stop_while_the_wires_are_opened_leaves_them_open_for_the_stops_and
     let words = engine.connect(0).await.unwrap_err().to_string();
     assert!(words.contains("the stop was pressed while the wires were opened"), "{words}");
     assert_eq!(engine.control.rig(), RigState::Tripped);
-    let trip = engine.control.inbox.status.borrow().rig.trip.clone().expect("latched");
+    let trip = latched(&engine).expect("latched");
     assert_eq!((trip.kind, trip.detail.as_str()), (TripKind::Estop, "hands"));
     // Each axis is tried, and none counts as stopped.
     let is_tried = || {

@@ -4,7 +4,7 @@ use std::cell::Cell;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 
-use super::{answered, signs, suspensions, tripped, with_handle};
+use super::{answered, latched, signs, suspensions, tripped, with_handle};
 use crate::campaign::bench::interlock::TripKind;
 use crate::campaign::bench::rig_state::RigState;
 use crate::campaign::bench::stand_in::StandIn;
@@ -39,7 +39,7 @@ async fn a_homing_and_a_jog_are_shown_until_they_end() {
     };
     let words = "jog is not possible within 5 s of an abort".to_owned();
     assert_eq!(answered(&mut engine, jog).await, Err(Refusal::Busy(words)));
-    assert_eq!(engine.control.inbox.status.borrow().rig.trip, None);
+    assert_eq!(latched(&engine), None);
 }
 
 #[tokio::test]
@@ -68,7 +68,7 @@ async fn an_abort_during_a_raise_is_accepted_at_once_and_ends_the_motion_once_z_
     let (aborted, stops) = answered(&mut engine, jog).await.expect("it ends");
     assert_eq!((aborted, stops), (Ok(()), 0), "accepted while z rises, which no stop ends");
     assert_eq!(starts(&axes.x), x_starts);
-    assert_eq!(engine.control.inbox.status.borrow().rig.trip, None);
+    assert_eq!(latched(&engine), None);
 }
 
 #[tokio::test]

@@ -6,7 +6,7 @@ use std::time::Duration;
 use tokio::sync::oneshot;
 use tokio::time::Instant;
 
-use super::{engine, job, parts, tripped, with_handle};
+use super::{engine, job, latched, parts, tripped, with_handle};
 use crate::campaign::bench::interlock::TripKind;
 use crate::campaign::bench::rig_state::RigState;
 use crate::campaign::bench::stage::AxisName;
@@ -44,7 +44,7 @@ async fn no_axis_homes_sideways_while_an_attached_cell_reads_a_load_and_z_is_rai
     // After a start of the service no tips are known: each live cell counts.
     assert!(!engine.home().await);
     assert_eq!((lateral_starts(&axes), axes.z.present().position), ([0; 3], 0.0));
-    let trip = engine.control.inbox.status.borrow().rig.trip.clone().expect("a trip");
+    let trip = latched(&engine).expect("a trip");
     assert_eq!(trip.kind, TripKind::Cell);
     assert!(trip.detail.contains("cell 2 reads 13.9 N (limit 10 N"), "{}", trip.detail);
     // Of one tip, on arm 1.
@@ -80,7 +80,7 @@ async fn z_that_homes_into_a_load_is_stopped() {
     };
     let (is_homed, ()) = tokio::join!(engine.home(), grows);
     assert!(!is_homed && axes.z.stops.load(Ordering::SeqCst) > 0);
-    let trip = engine.control.inbox.status.borrow().rig.trip.clone().expect("a trip");
+    let trip = latched(&engine).expect("a trip");
     assert_eq!(trip.kind, TripKind::Force);
     assert!(trip.detail.starts_with("cell 1 reads 13.9 N more than"), "{}", trip.detail);
 }
@@ -117,8 +117,7 @@ async fn z_homes_although_no_cell_replies_and_no_other_axis_does() {
     let (is_homed, ()) = tokio::join!(engine.home(), arrives);
     assert!(!is_homed);
     assert_eq!((lateral_starts(&axes), axes.z.present().position), ([0; 3], 0.0));
-    let trip = engine.control.inbox.status.borrow().rig.trip.clone();
-    assert_eq!(trip.map(|trip| trip.kind), Some(TripKind::Wire));
+    assert_eq!(latched(&engine).map(|trip| trip.kind), Some(TripKind::Wire));
 }
 
 #[tokio::test]
@@ -274,7 +273,7 @@ async fn an_abort_of_a_lateral_motion_or_homing_waits_for_no_cell() {
         let (moved, took) = tokio::join!(moves, abort);
         assert!(!moved && took < Duration::from_secs(1), "{took:?}");
         assert_eq!(axes.x.stops.load(Ordering::SeqCst), u64::from(homes), "by its safe end");
-        assert_eq!(engine.control.inbox.status.borrow().rig.trip, None);
+        assert_eq!(latched(&engine), None);
     }
 }
 
@@ -419,8 +418,7 @@ async fn a_drive_in_alarm_that_keeps_its_zero_is_not_homed() {
     let (axes, mut engine) = engine();
     *axes.x.after_start.lock() = Some(AxisStatus { alarm: Some(1), ..axes.x.present() });
     assert!(!engine.home().await);
-    let trip = engine.control.inbox.status.borrow().rig.trip.clone();
-    assert_eq!(trip.map(|trip| trip.kind), Some(TripKind::Device));
+    assert_eq!(latched(&engine).map(|trip| trip.kind), Some(TripKind::Device));
 }
 
 #[tokio::test]
@@ -428,8 +426,7 @@ async fn a_homing_that_ends_outside_the_travel_is_none() {
     let (axes, mut engine) = engine();
     *axes.radial.after_start.lock() = Some(AxisStatus { position: -30.0, ..axes.radial.present() });
     assert!(!engine.home().await);
-    let trip = engine.control.inbox.status.borrow().rig.trip.clone();
-    assert_eq!(trip.map(|trip| trip.kind), Some(TripKind::Position));
+    assert_eq!(latched(&engine).map(|trip| trip.kind), Some(TripKind::Position));
 }
 
 #[tokio::test]
