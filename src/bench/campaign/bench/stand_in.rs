@@ -94,6 +94,11 @@ impl StandIn {
         *self.status.lock()
     }
 
+    /// The next motion or homing that is started goes on until the test ends it.
+    pub fn keep_moving(&self) {
+        *self.after_start.lock() = Some(AxisStatus { moving: true, ..self.present() });
+    }
+
     /// Waits until a motion or homing of it was started.
     pub async fn started(&self) {
         while self.starts.load(Ordering::SeqCst) == 0 {

@@ -29,7 +29,6 @@ use crate::ids::{RunUid, TrialKey};
 use crate::journal::{ExitStatus, Journal};
 use crate::record::TouchOffRecord;
 use crate::rig::setup::RigSetup;
-use crate::rig::traits::AxisStatus;
 use crate::schedule::plan::Kind;
 use crate::schedule::tests::{hex, planned};
 use crate::suspension::Suspensions;
@@ -408,8 +407,7 @@ async fn the_status_counts_the_failed_attempts_that_are_stored() {
 #[tokio::test]
 async fn an_abort_of_a_jog_and_each_trip_for_a_person_hold_the_queue() {
     let (job, (axes, mut engine, handle)) = (job(), with_handle());
-    // It moves until it is stopped.
-    *axes.x.after_start.lock() = Some(AxisStatus { moving: true, ..axes.x.present() });
+    axes.x.keep_moving();
     let (stage, control) = parts(&mut engine);
     let target = [Target::of(AxisName::X, 100.0)];
     let travel = stage.travel(control, &target);

@@ -25,8 +25,7 @@ async fn a_homing_and_a_jog_are_shown_until_they_end() {
         ends.await.unwrap().rig.motion
     };
     assert_eq!(answered(&mut engine, home).await, None);
-    // It moves until it is stopped.
-    *axes.x.after_start.lock() = Some(AxisStatus { moving: true, ..axes.x.present() });
+    axes.x.keep_moving();
     let jog = async {
         let further = || handle.ask(Request::Jog { axis: "x".into(), to_mm: 100.0 });
         further().await.unwrap();

@@ -181,7 +181,7 @@ async fn the_first_sample_of_a_press_is_late_from_when_its_start_was_sent() {
     stage.stopping.note_poll(0.2);
     *axes.z.starts_take.lock() = Duration::from_millis(300);
     *axes.cells.takes.lock() = Duration::from_millis(300);
-    *axes.z.after_start.lock() = Some(AxisStatus { moving: true, ..axes.z.present() });
+    axes.z.keep_moving();
     let press = stage.press_to(control, 10.0);
     let late = async {
         stopped(&axes, 1).await;

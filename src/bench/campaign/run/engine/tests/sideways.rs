@@ -210,8 +210,7 @@ async fn a_lateral_motion_ends_when_z_sinks_or_a_cell_reads_a_load() {
         (0.0, 1.0, TripKind::Cell, "no lateral motion: z reports to be clear, and cell 1"),
     ] {
         let (axes, mut engine) = engine();
-        // It moves until it is stopped.
-        *axes.x.after_start.lock() = Some(AxisStatus { moving: true, ..axes.x.present() });
+        axes.x.keep_moving();
         let (stage, control) = parts(&mut engine);
         stage.tips = 1;
         let target = [Target::of(AxisName::X, 100.0)];
@@ -252,8 +251,7 @@ async fn silence(axes: &StandIns, axis: &StandIn) {
 async fn an_abort_of_a_lateral_motion_or_homing_waits_for_no_cell() {
     for homes in [true, false] {
         let (axes, mut engine, handle) = with_handle();
-        // It moves until it is stopped.
-        *axes.x.after_start.lock() = Some(AxisStatus { moving: true, ..axes.x.present() });
+        axes.x.keep_moving();
         let abort = async {
             silence(&axes, &axes.x).await;
             tokio::time::sleep(Duration::from_millis(200)).await;
@@ -282,7 +280,7 @@ async fn no_axis_goes_on_without_a_sample_while_the_wire_still_waits_for_one() {
     for name in [AxisName::Z, AxisName::X] {
         let (axes, mut engine) = engine();
         let axis = if name == AxisName::Z { &axes.z } else { &axes.x };
-        *axis.after_start.lock() = Some(AxisStatus { moving: true, ..axis.present() });
+        axis.keep_moving();
         let (stage, control) = parts(&mut engine);
         stage.config.limits.sample_age_ms = Some(100);
         let began = Instant::now();
@@ -323,8 +321,7 @@ async fn no_axis_goes_on_sideways_while_z_is_read_too_rarely_although_each_reply
     // Neither the reply of z nor the one that is awaited before it takes too long, but both together do.
     for (homes, is_start_slow) in [(false, false), (false, true), (true, false), (true, true)] {
         let (axes, mut engine) = engine();
-        // It moves until it is stopped.
-        *axes.x.after_start.lock() = Some(AxisStatus { moving: true, ..axes.x.present() });
+        axes.x.keep_moving();
         *axes.x.starts_take.lock() = Duration::from_millis(20);
         let (stage, control) = parts(&mut engine);
         stage.config.limits.sample_age_ms = Some(300);
