@@ -120,7 +120,7 @@ async fn a_run_states_why_the_rig_could_not_be_armed_for_its_automatic_resume() 
     job.plan.policy.auto_resume_after_s = 0.0;
     trip(&mut engine, &job);
     // The wires were so slow that no press keeps the margin.
-    engine.connection.as_mut().unwrap().stage.as_mut().unwrap().stopping.note_poll(1e6);
+    engine.stage_mut().unwrap().stopping.note_poll(1e6);
     let mut status = handle.watch_status();
     let states = async move {
         // Without a handle there is no request to wait for.

@@ -4,7 +4,7 @@ use std::cell::Cell;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 
-use super::{answered, latched, signs, suspensions, tripped, with_handle};
+use super::{answered, latched, parts, signs, suspensions, tripped, with_handle};
 use crate::campaign::bench::interlock::TripKind;
 use crate::campaign::bench::rig_state::RigState;
 use crate::campaign::bench::stand_in::StandIn;
@@ -83,8 +83,8 @@ async fn a_raise_that_fails_after_an_abort_is_not_repeated_before_the_safe_end()
         axes.z.status.lock().alarm = Some(1);
         aborted
     };
-    let stage = engine.connection.as_mut().unwrap().stage.as_mut().unwrap();
-    let raise = raise_as_planned(&mut engine.control, stage);
+    let (stage, control) = parts(&mut engine);
+    let raise = raise_as_planned(control, stage);
     let (aborted, raised) = tokio::join!(abort, raise);
     assert!(aborted.is_ok() && matches!(raised, Err(Halt::Asked)), "{raised:?}");
     assert_eq!(axes.z.starts.load(Ordering::SeqCst), 1);
