@@ -21,12 +21,14 @@ pub const CONTACTS_MAX: usize = ARMS;
 /// truncates it to this size.
 pub const LOG_BYTES: u64 = 64 << 20;
 /// Size of a stored trial in addition to its frames: its row, six readings, flags, keys, the fit of
-/// its twin, bytes. Measured with the constant below and that of raw frames on 33,000 trials of four
-/// tips: 8.9 kB per trial in total.
+/// its twin, bytes. Measured with the two constants below on 33,000 trials of four tips: 8.9 kB per
+/// trial in total.
 pub const TRIAL_BYTES: u64 = 800;
 /// Size of the stored mean voltages, and of those of the simulated twin, in addition to their
 /// values, bytes.
 pub const VOLTAGES_BYTES: u64 = 145;
+/// Size of a stored raw frame in addition to its counts, bytes.
+pub const RAW_FRAME_BYTES: u64 = 250;
 
 /// Position of stage and slot, machine coordinates.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, ToSchema)]

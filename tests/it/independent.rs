@@ -31,7 +31,7 @@ async fn the_adam_driver_reads_a_server_of_another_make() {
     let (_server, port) = server(&python);
     let text = VIRTUAL_RIG.replace("127.0.0.1:5021", &format!("127.0.0.1:{port}"));
     let config = RigConfig::from_toml("virtual.toml", &text).unwrap();
-    let bench = open(&config, &Clock::new(1.0), &StopLatch::new()).unwrap().bench;
+    let bench = open(&config, &Clock::new(1.0), &StopLatch::default()).unwrap().bench;
     let found = bench.cells.prepare().await.unwrap();
     assert!(found.contains("ADAM-6017"), "{found}");
     let read = bench.cells.read().await.unwrap();

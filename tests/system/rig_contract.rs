@@ -65,7 +65,7 @@ async fn until(axis: &Arc<dyn Axis>, what: &str, done: impl Fn(&AxisStatus) -> b
 
 async fn keeps_the_contract(name: &str, file: PathBuf) {
     let _turn = turn(WHOLE).await;
-    let latch = StopLatch::new();
+    let latch = StopLatch::default();
     let (rig, config, open, clock) = rig_of(name, file, &latch).await;
     let seen = check(&config, &open, &clock, Scope::Look).await;
     assert!(seen.is_sound() && !seen.enabled, "{seen}");
@@ -210,7 +210,7 @@ async fn a_drive_with_a_watchdog_stops_when_the_service_falls_silent() {
     let guard = "[axes.z]\nguard = { watchdog_ms = 500, torque_percent = 60 }";
     let guarded = Path::new(env!("CARGO_TARGET_TMPDIR")).join("guarded.toml");
     std::fs::write(&guarded, text.replacen("[axes.z]", guard, 1)).unwrap();
-    let (_rig, _config, open, _clock) = rig_of("guarded", guarded, &StopLatch::new()).await;
+    let (_rig, _config, open, _clock) = rig_of("guarded", guarded, &StopLatch::default()).await;
     let (x, z) = (&open.bench.x, &open.bench.z);
     assert_eq!(z.guard(), Guard { watchdog_ms: Some(500), torque_percent: Some(60) });
     assert!(z.prepare().await.unwrap().ends_with("watchdog 500 ms, torque 60 %"));
@@ -234,7 +234,7 @@ async fn a_drive_with_a_watchdog_stops_when_the_service_falls_silent() {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_check_ends_with_stops_when_the_emergency_stop_is_latched() {
     let _turn = turn(WHOLE).await;
-    let (estop, latch) = (StopSwitch::default(), StopLatch::new());
+    let (estop, latch) = (StopSwitch::default(), StopLatch::default());
     let (rig, config, _open, _clock) = rig_of("virtual", file("rigs/virtual.toml"), &latch).await;
     let setup = config.into();
     let pressed = async {

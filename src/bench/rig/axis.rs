@@ -8,7 +8,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use async_trait::async_trait;
-use parking_lot::{Mutex, MutexGuard};
+use parking_lot::Mutex;
 use tokio::time::Instant;
 
 use super::device::AxisParts;
@@ -156,12 +156,8 @@ impl AxisParts {
 }
 
 impl<D: Drive> ModbusAxis<D> {
-    fn watch(&self) -> MutexGuard<'_, MotionWatch> {
-        self.watch.lock()
-    }
-
     fn told(&self, command: Command) {
-        self.watch().commanded(command, self.clock.process_s());
+        self.watch.lock().commanded(command, self.clock.process_s());
     }
 
     fn permit(&self, operation: &str) -> Result<MotionPermit, RigError> {
@@ -305,7 +301,7 @@ impl<D: Drive> ModbusAxis<D> {
         requests: &[Request],
     ) -> Result<(), RigError> {
         let permit = self.permit(operation)?;
-        let stood = self.watch().stood();
+        let stood = self.watch.lock().stood();
         let mut failures = 0;
         loop {
             let Err(error) = self.send(operation, &permit, requests).await else { break };
@@ -383,7 +379,7 @@ impl<D: Drive> Axis for ModbusAxis<D> {
 
     async fn status(&self) -> Result<AxisStatus, RigError> {
         let mut look = self.look().await?;
-        let suspicious = self.watch().implausible(look.seen);
+        let suspicious = self.watch.lock().implausible(look.seen);
         if suspicious {
             // Modbus TCP has no checksum; a flipped bit does not recur.
             look = self.look().await?;
@@ -391,7 +387,7 @@ impl<D: Drive> Axis for ModbusAxis<D> {
         let Look { state, seen, at } = look;
         let alarm = self.alarm(state).await?;
         let position = seen.position;
-        let moving = self.watch().observe(seen) && !state.fault;
+        let moving = self.watch.lock().observe(seen) && !state.fault;
         let (homed, ready) = (state.homed, state.ready);
         Ok(AxisStatus { position, moving, homed, ready, alarm, at })
     }

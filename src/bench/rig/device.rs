@@ -63,11 +63,6 @@ impl AxisDevice {
         self.name
     }
 
-    /// Whether the drive has a communication watchdog and a torque limit that can be set.
-    pub const fn has_guards(self) -> bool {
-        self.has_guards
-    }
-
     /// Acceleration at which the drive moves and stops if this one is requested, counts/s^2.
     pub fn acceleration(self, requested: f64) -> f64 {
         (self.acceleration)(requested)
@@ -83,7 +78,7 @@ impl AxisDevice {
         let lacks = |what: &str| {
             format!("{} has no {what} that can be set over its wire: remove it", self.as_str())
         };
-        let has = self.has_guards();
+        let has = self.has_guards;
         if let Some(ms) = guard.watchdog_ms {
             let key = key("guard.watchdog_ms");
             c.require(has, &key, ms, &lacks("communication watchdog"));

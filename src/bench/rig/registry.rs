@@ -52,7 +52,7 @@ pub fn open(config: &RigConfig, clock: &Clock, latch: &StopLatch) -> Result<Open
     let lines: BTreeMap<String, Arc<Line>> = config
         .lines
         .iter()
-        .map(|(name, line)| (name.clone(), Arc::new(open_line(name, line, clock))))
+        .map(|(name, line)| (name.clone(), Arc::new(open_line(line, clock))))
         .collect();
     let axis = |name: &'static str, device: AxisDevice, profile: AxisProfile| {
         let station = Station::new(find(&lines, &profile.line, name)?, profile.address, name);
@@ -98,7 +98,7 @@ fn find(
     })
 }
 
-fn open_line(name: &str, config: &LineConfig, clock: &Clock) -> Line {
+fn open_line(config: &LineConfig, clock: &Clock) -> Line {
     let (framing, port, opener) = match config {
         LineConfig::ModbusTcp { address, .. } => {
             (Framing::Tcp, address, tcp_opener(address.clone()))
@@ -108,7 +108,7 @@ fn open_line(name: &str, config: &LineConfig, clock: &Clock) -> Line {
             (Framing::Rtu, path, serial_opener(settings))
         }
     };
-    Line::spawn(name, framing, port, opener, policy(config), clock.clone())
+    Line::spawn(framing, port, opener, policy(config), clock.clone())
 }
 
 /// Deadlines and limits that follow from the settings of a line.

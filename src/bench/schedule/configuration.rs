@@ -64,7 +64,7 @@ impl<'a> Lattice<'a> {
     }
 
     /// Points under the attached tips, arm 1 first; none if a tip would not be on a point.
-    pub fn tip_points(&self, configuration: Configuration) -> Option<Vec<u32>> {
+    fn tip_points(&self, configuration: Configuration) -> Option<Vec<u32>> {
         let point = self.sensor.points().get(configuration.centre as usize)?;
         let (half_column, row) = place(point);
         let k = i64::from(configuration.radius_pitches);
@@ -138,14 +138,11 @@ fn place(point: &Point) -> (i64, i64) {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    fn paper() -> Sensor {
-        Sensor::from_toml(include_str!("../../../experiments/sensors/ert-28.toml")).unwrap()
-    }
+    use crate::schedule::tests::skin;
 
     #[test]
     fn pools_of_the_papers_sensor_have_the_counted_sizes() {
-        let sensor = paper();
+        let sensor = skin();
         let lattice = Lattice::of(&sensor);
         let sizes: Vec<usize> = (1..=6).map(|n| lattice.pool(n, [2, 12]).len()).collect();
         assert_eq!(sizes, [6457, 5115, 4246, 3377, 2684, 2684]);
@@ -153,7 +150,7 @@ mod tests {
 
     #[test]
     fn every_tip_stands_at_its_radius_in_its_arms_direction() {
-        let sensor = paper();
+        let sensor = skin();
         let lattice = Lattice::of(&sensor);
         for configuration in lattice.pool(6, [2, 12]) {
             let stand = lattice.stand(configuration).unwrap();
@@ -169,7 +166,7 @@ mod tests {
 
     #[test]
     fn a_tip_over_a_point_that_was_left_out_is_not_legal() {
-        let sensor = paper();
+        let sensor = skin();
         let lattice = Lattice::of(&sensor);
         let at = |row, column| {
             sensor.points().iter().position(|p| (p.row, p.column) == (row, column)).unwrap() as u32
@@ -183,7 +180,7 @@ mod tests {
     /// Chi-square over the pool of six tips: 2683 degrees of freedom, 99.9 % point 2916.
     #[test]
     fn draws_are_uniform_over_the_pool() {
-        let sensor = paper();
+        let sensor = skin();
         let pool = Lattice::of(&sensor).pool(6, [2, 12]);
         let count = 20 * pool.len() as u32;
         let mut seen = std::collections::BTreeMap::new();

@@ -5,7 +5,7 @@
 //! that the bench does not state are in `Assumed`, in three cases: low, likely, high. The time of a
 //! person (tip changes, weights) is not included: it was not measured.
 
-use crate::record::{LOG_BYTES, TRIAL_BYTES, VOLTAGES_BYTES};
+use crate::record::{LOG_BYTES, RAW_FRAME_BYTES, TRIAL_BYTES, VOLTAGES_BYTES};
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
@@ -13,8 +13,6 @@ use super::configuration::Stand;
 use super::order::Place;
 use super::plan::{Plan, Step};
 
-/// Size of a stored frame in addition to its counts, bytes.
-pub const FRAME_BYTES: u64 = 250;
 /// Size of a stored configuration in addition to its trials: tare, events, bytes.
 pub const CONFIGURATION_BYTES: u64 = 1500;
 
@@ -27,7 +25,7 @@ pub fn fixed_bytes(plan: &Plan) -> u64 {
 
 /// Disk space of a stored trial with its twin, bytes.
 pub fn trial_bytes(channels: u64, frames_per_trial: u32) -> u64 {
-    let (frame, voltages) = (FRAME_BYTES + 2 * channels, VOLTAGES_BYTES + 4 * channels);
+    let (frame, voltages) = (RAW_FRAME_BYTES + 2 * channels, VOLTAGES_BYTES + 4 * channels);
     TRIAL_BYTES + u64::from(frames_per_trial) * frame + 2 * voltages
 }
 
@@ -151,7 +149,7 @@ impl Parts {
 }
 
 /// Prediction for one setting or a whole plan.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct Estimate {
     /// Number of attached tips; absent for a whole plan and for manual trials.
     pub tips: Option<u8>,
@@ -167,13 +165,6 @@ pub struct Estimate {
     pub parts: Parts,
     /// Disk space of the stored data, bytes.
     pub disk_bytes: u64,
-}
-
-impl Estimate {
-    fn nothing(tips: Option<u8>) -> Self {
-        let parts = Parts::default();
-        Self { tips, trials: 0, duration_s: 0.0, low_s: 0.0, high_s: 0.0, parts, disk_bytes: 0 }
-    }
 }
 
 /// Assumptions that the bench does not state.
@@ -243,7 +234,7 @@ pub fn estimate(plan: &Plan, bench: &Bench) -> Estimates {
         setting.low_s = low.duration_s;
         setting.high_s = high.duration_s;
     }
-    let mut whole = Estimate::nothing(None);
+    let mut whole = Estimate::default();
     for setting in &settings {
         whole.trials += setting.trials;
         whole.duration_s += setting.duration_s;
@@ -266,10 +257,10 @@ struct Walk<'a> {
 impl<'a> Walk<'a> {
     fn through(plan: &'a Plan, bench: &'a Bench, assumed: &'a Assumed) -> Vec<Estimate> {
         let mut walk = Self { plan, bench, assumed, here: None };
-        let mut settings = vec![Estimate::nothing(None)];
+        let mut settings = vec![Estimate::default()];
         for step in &plan.steps {
             if let Step::TipChange { tips, .. } = step {
-                settings.push(Estimate::nothing(Some(*tips)));
+                settings.push(Estimate { tips: Some(*tips), ..Estimate::default() });
             }
             if let Some(setting) = settings.last_mut() {
                 walk.step(step, setting);

@@ -298,11 +298,7 @@ impl Experiment {
             return Err(vec![Problem::whole(file, limit)]);
         }
         if let Some(hex) = &self.real_hex {
-            let tips_ok = !hex.tips.is_empty()
-                && hex.tips.iter().all(|t| (1..=6).contains(t))
-                && (1..hex.tips.len()).all(|i| !hex.tips[..i].contains(&hex.tips[i]));
-            let shown = format!("{:?}", hex.tips);
-            c.require(tips_ok, "real_hex.tips", shown, "must be different counts from 1 to 6");
+            check_counts("real_hex.tips", &hex.tips, &mut c);
             c.within("real_hex.configurations", f64::from(hex.configurations), 1.0..=1e6);
             let [low, high] = hex.radius_pitches;
             c.require(
@@ -320,12 +316,7 @@ impl Experiment {
             c.within("real_hex.block", f64::from(hex.block), 1.0..=1000.0);
         }
         if let Some(random) = &self.real_random {
-            let ok = !random.contacts.is_empty()
-                && random.contacts.iter().all(|n| (1..=6).contains(n))
-                && (1..random.contacts.len())
-                    .all(|i| !random.contacts[..i].contains(&random.contacts[i]));
-            let shown = format!("{:?}", random.contacts);
-            c.require(ok, "real_random.contacts", shown, "must be different counts from 1 to 6");
+            check_counts("real_random.contacts", &random.contacts, &mut c);
             c.within("real_random.trials_each", f64::from(random.trials_each), 1.0..=1e6);
             let ok = !random.weights_n.is_empty() && random.weights_n.iter().all(|w| *w > 0.0);
             let shown = format!("{:?}", random.weights_n);
@@ -353,6 +344,13 @@ impl Experiment {
         c.within("limits.force_sum_n", self.limits.force_sum_n, 0.5..=6000.0);
         c.done()
     }
+}
+
+fn check_counts(key: &str, counts: &[u8], c: &mut Checks<'_>) {
+    let ok = !counts.is_empty()
+        && counts.iter().all(|n| (1..=6).contains(n))
+        && (1..counts.len()).all(|i| !counts[..i].contains(&counts[i]));
+    c.require(ok, key, format!("{counts:?}"), "must be different counts from 1 to 6");
 }
 
 fn default_radius_pitches() -> [u32; 2] {

@@ -102,10 +102,7 @@ fn overlap(centres_mm: &[[f64; 2]], diameter_mm: f64) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    fn paper() -> Sensor {
-        Sensor::from_toml(include_str!("../../../experiments/sensors/ert-28.toml")).unwrap()
-    }
+    use crate::schedule::tests::skin;
 
     fn papers_trials() -> RealRandom {
         RealRandom {
@@ -117,7 +114,7 @@ mod tests {
 
     #[test]
     fn fifty_of_each_count_on_points_without_overlap() {
-        let sensor = paper();
+        let sensor = skin();
         let trials = placements(&papers_trials(), 5, &sensor).unwrap();
         for count in [2, 3, 4] {
             assert_eq!(trials.iter().filter(|t| t.contacts.len() == count).count(), 50);
@@ -135,7 +132,7 @@ mod tests {
 
     #[test]
     fn counts_are_mixed_over_the_run() {
-        let trials = placements(&papers_trials(), 5, &paper()).unwrap();
+        let trials = placements(&papers_trials(), 5, &skin()).unwrap();
         for third in trials.chunks(50) {
             for count in [2, 3, 4] {
                 assert!(third.iter().filter(|t| t.contacts.len() == count).count() > 5);
@@ -145,7 +142,7 @@ mod tests {
 
     #[test]
     fn a_skin_too_small_for_the_tips_is_an_error_and_not_a_hang() {
-        let mut file = paper().file;
+        let mut file = skin().file;
         file.points.rows = 1;
         file.points.columns = 2;
         file.points.left_out.clear();

@@ -16,4 +16,4 @@ pub mod estimate;
 pub mod preflight;
 
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;

@@ -23,8 +23,8 @@ fn write(card: &mut String, row: &DatasetRow) -> std::fmt::Result {
     let (report, lineage) = (&row.report, &row.lineage);
     writeln!(card, "# {} ({})\n", row.name, row.id)?;
     writeln!(card, "{} rows, made at {} by Palpate {}.", row.rows, row.created_at, code(lineage))?;
-    let labels = labels(lineage);
-    if labels.contains(&"virtual") {
+    let runs = || lineage["runs"].as_array().into_iter().flatten();
+    if runs().any(|run| run["label"] == "virtual") {
         writeln!(card, "\n**Virtual**: measured on a virtual rig. No skin was touched.")?;
     }
     writeln!(card, "\n## Content\n")?;
@@ -43,7 +43,7 @@ fn write(card: &mut String, row: &DatasetRow) -> std::fmt::Result {
         None => writeln!(card, "\nNo row was excluded.")?,
     }
     writeln!(card, "\n## Origin\n")?;
-    for run in lineage["runs"].as_array().into_iter().flatten() {
+    for run in runs() {
         writeln!(
             card,
             "- run {} `{}` {} ({}), {} to {}: {} trials, contacts from {} N",
@@ -99,11 +99,6 @@ pub fn citation(row: &DatasetRow) -> String {
     let (name, id, code) = (&row.name, &row.id, code(&row.lineage));
     let year = row.created_at.strftime("%Y");
     format!("Dataset {name} ({id}, {} rows), Palpate {code}, {year}. After: {PAPER}.", row.rows)
-}
-
-fn labels(lineage: &Value) -> Vec<&str> {
-    let runs = lineage["runs"].as_array().into_iter().flatten();
-    runs.filter_map(|run| run["label"].as_str()).collect()
 }
 
 fn code(lineage: &Value) -> String {

@@ -272,13 +272,12 @@ impl Definition {
             let limit = "must be a folder under DATA/sim-random, without . or ..";
             checks.require(plain, "sim_random", folder, limit);
         }
-        let mut problems = checks.done().err().unwrap_or_default();
         for condition in &self.conditions {
             if let Err(limit) = Condition::parse(condition) {
-                problems.push(Problem::new(file, "where", condition, limit));
+                checks.require(false, "where", condition, &limit);
             }
         }
-        if problems.is_empty() { Ok(()) } else { Err(problems) }
+        checks.done()
     }
 
     /// The conditions, parsed; invalid ones are skipped ([`Self::check`] reports them).

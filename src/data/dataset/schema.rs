@@ -17,7 +17,7 @@ pub const VOLTAGES_V: &str = "voltages_v";
 /// Column of the number of frames in the mean.
 pub const FRAME_COUNT: &str = "frame_count";
 /// Column of a rendered force map.
-pub const FORCE_MAP_N: &str = "force_map_n";
+const FORCE_MAP_N: &str = "force_map_n";
 /// Column of the part of the split.
 pub const SPLIT: &str = "split";
 
@@ -28,10 +28,6 @@ pub const SENSOR_KEY: &str = "palpate.sensor";
 
 /// Number of voltages per frame of the paper's skin, used if a dataset has no frames.
 pub const PAPER_CHANNELS: i32 = 784;
-
-fn of(name: &str, kind: DataType) -> Field {
-    Field::new(name, kind, true)
-}
 
 fn list(name: &str, items: i32, unit: &str) -> Field {
     let element = base::with_unit(Field::new(base::ELEMENT, DataType::Float32, true), unit);
@@ -48,22 +44,25 @@ pub fn force_map(pixels: i32) -> Field {
 
 /// All columns of the trials table, for frames of `channels` voltages.
 pub fn all(channels: i32) -> Schema {
-    Schema::new(TABLE.iter().map(|column| field(column, channels)).collect::<Vec<_>>())
+    columns(channels, |_| true)
+}
+
+/// The columns of the trials table for which `has` holds.
+fn columns(channels: i32, has: impl Fn(&Column) -> bool) -> Schema {
+    let columns = TABLE.iter().filter(|column| has(column));
+    Schema::new(columns.map(|column| field(column, channels)).collect::<Vec<_>>())
 }
 
 /// The columns of stored trials, with frames of `channels` voltages.
 pub fn stored(channels: i32) -> SchemaRef {
-    let has = |field: &Arc<Field>| Column::find(field.name()).is_some_and(Column::is_of_stored);
-    let fields: Vec<_> =
-        all(channels).fields().iter().filter(|field| has(field)).cloned().collect();
-    Arc::new(Schema::new(fields))
+    Arc::new(columns(channels, Column::is_of_stored))
 }
 
 /// A column as a field, with its unit.
 fn field(column: &Column, channels: i32) -> Field {
-    let plain = |kind| match column.unit {
-        "" => of(column.name, kind),
-        unit => base::with_unit(of(column.name, kind), unit),
+    let plain = |kind| {
+        let field = Field::new(column.name, kind, true);
+        if column.unit.is_empty() { field } else { base::with_unit(field, column.unit) }
     };
     match column.of {
         Of::Id(_) => plain(DataType::Int64),
@@ -87,9 +86,7 @@ fn field(column: &Column, channels: i32) -> Field {
 
 /// The columns with scalar values.
 pub fn scalars() -> SchemaRef {
-    let all = all(PAPER_CHANNELS);
-    let fields = all.fields().iter().filter(|field| is_comparable(field.name()));
-    Arc::new(Schema::new(fields.cloned().collect::<Vec<_>>()))
+    Arc::new(columns(PAPER_CHANNELS, is_scalar))
 }
 
 /// Element type of contacts: a struct whose fields are nullable.
@@ -102,23 +99,17 @@ pub fn contact_element() -> Field {
 /// The columns of a dataset: those that apply to its task and split.
 pub fn of_dataset(definition: &Definition, channels: i32) -> SchemaRef {
     let task = definition.task;
-    let has = |field: &Field| match Column::find(field.name())
-        .map(|column| (column.of, column.name))
-    {
-        Some((Of::Measured(_), _)) => task.has_measured(),
-        Some((Of::Simulated(_), _)) | Some((_, "sim_model" | "rmse_v" | "fvu")) => {
-            task.has_simulated()
-        }
+    let has = |column: &Column| match (column.of, column.name) {
+        (Of::Measured(_), _) => task.has_measured(),
+        (Of::Simulated(_), _) | (_, "sim_model" | "rmse_v" | "fvu") => task.has_simulated(),
         // Elsewhere it is the split, or of no use; equal datasets keep their ids.
-        Some((_, "imported_split")) => task == Task::Trials,
-        Some((_, "imported_tag")) => task == Task::Trials || definition.split.by == SplitBy::Tag,
-        Some((Of::Part, _)) => definition.split.by != SplitBy::None,
-        Some((Of::Drawn, _)) => task == Task::S2sRecon,
+        (_, "imported_split") => task == Task::Trials,
+        (_, "imported_tag") => task == Task::Trials || definition.split.by == SplitBy::Tag,
+        (Of::Part, _) => definition.split.by != SplitBy::None,
+        (Of::Drawn, _) => task == Task::S2sRecon,
         _ => true,
     };
-    let fields: Vec<Field> =
-        all(channels).fields().iter().map(|f| f.as_ref().clone()).filter(has).collect();
-    Arc::new(Schema::new(fields))
+    Arc::new(columns(channels, has))
 }
 
 /// Name of a type for people: `float32[784]`, `list of {x_mm float64, ..}`.
@@ -145,7 +136,11 @@ pub fn comparable(schema: &Schema) -> Vec<&str> {
 
 /// True if the column with this name holds scalar values.
 pub fn is_comparable(name: &str) -> bool {
-    Column::find(name).is_some_and(|column| column.kind() != Kind::List)
+    Column::find(name).is_some_and(is_scalar)
+}
+
+fn is_scalar(column: &Column) -> bool {
+    column.kind() != Kind::List
 }
 
 #[cfg(test)]

@@ -5,7 +5,7 @@ use arrow_schema::{DataType, Schema};
 
 use super::error::{DatasetError, DatasetResult, Product};
 use super::format::Format;
-use crate::record::{TRIAL_BYTES, VOLTAGES_BYTES};
+use crate::record::{RAW_FRAME_BYTES, TRIAL_BYTES, VOLTAGES_BYTES};
 
 /// Free space that is reserved for runs, bytes.
 pub const KEPT_FREE_BYTES: u64 = 2 << 30;
@@ -13,8 +13,6 @@ pub const KEPT_FREE_BYTES: u64 = 2 << 30;
 const TEXT_BYTES: u64 = 64;
 /// Size of a list of variable length as text, bytes: six contacts.
 const LIST_BYTES: u64 = 600;
-/// Size of a stored raw frame in addition to its counts, bytes.
-const RAW_FRAME_BYTES: u64 = 250;
 /// Size of a stored contact, bytes: its row and the entry of the index.
 const CONTACT_BYTES: u64 = 80;
 

@@ -58,7 +58,7 @@ pub fn place(seed: u64, key: &[u8]) -> u128 {
     hash.update(seed.to_le_bytes());
     hash.update(key);
     let digest: [u8; 32] = hash.finalize().into();
-    digest[..16].iter().fold(0, |place, &byte| place << 8 | u128::from(byte))
+    u128::from_be_bytes(std::array::from_fn(|at| digest[at]))
 }
 
 /// Returns the part of each group, in the order of `groups`.

@@ -34,16 +34,14 @@ pub fn label(trial: &mut TrialRow, definition: &Definition, run: &RunRow) {
     trial.contact_count = trial.contacts.len() as u8;
 }
 
-/// A trial of the first pass.
+/// A selected trial of the first pass.
 #[derive(Debug, Clone, Copy)]
-struct Candidate {
+struct Selected {
     trial: TrialId,
     /// Index of its group; `None` if its part is fixed, or there are no parts.
     group: Option<usize>,
     /// Part that its run or its file determines.
     fixed: Option<Part>,
-    /// Index of the reason why the trial is excluded; `None` if it is selected.
-    excluded: Option<usize>,
 }
 
 /// The first pass, page by page.
@@ -53,10 +51,11 @@ pub struct Survey<'a> {
     filters: Vec<Condition>,
     schema: SchemaRef,
     model: Option<&'a str>,
-    candidates: Vec<Candidate>,
+    selected: Vec<Selected>,
+    /// Groups of all trials, excluded ones included: the parts do not depend on what is excluded.
     groups: Vec<Group>,
     by_place: HashMap<u128, usize>,
-    reasons: Vec<String>,
+    excluded: BTreeMap<String, u64>,
 }
 
 /// Result of a survey.
@@ -77,10 +76,10 @@ impl<'a> Survey<'a> {
             filters: definition.filters(),
             schema,
             model,
-            candidates: Vec::new(),
+            selected: Vec::new(),
             groups: Vec::new(),
             by_place: HashMap::new(),
-            reasons: Vec::new(),
+            excluded: BTreeMap::new(),
         }
     }
 
@@ -117,9 +116,11 @@ impl<'a> Survey<'a> {
             let why = why.or_else(|| {
                 failed.map(|condition| format!("not {}", self.definition.conditions[condition]))
             });
-            let excluded = why.map(|why| self.reason(why));
             let group = key.as_ref().map(|key| self.group(key, trial));
-            self.candidates.push(Candidate { trial: trial.trial_id, group, fixed, excluded });
+            match why {
+                Some(why) => *self.excluded.entry(why).or_default() += 1,
+                None => self.selected.push(Selected { trial: trial.trial_id, group, fixed }),
+            }
         }
         Ok(())
     }
@@ -179,14 +180,6 @@ impl<'a> Survey<'a> {
         None
     }
 
-    /// Index of a reason in `reasons`.
-    fn reason(&mut self, why: String) -> usize {
-        self.reasons.iter().position(|known| *known == why).unwrap_or_else(|| {
-            self.reasons.push(why);
-            self.reasons.len() - 1
-        })
-    }
-
     /// Adds a labelled trial to the group with a key and returns the index of the group.
     fn group(&mut self, key: &str, trial: &TrialRow) -> usize {
         let split = &self.definition.split;
@@ -206,19 +199,10 @@ impl<'a> Survey<'a> {
     /// Divides the groups and returns the result.
     pub fn finish(self) -> Surveyed {
         let divided = divide(&self.groups, &self.definition.split);
-        let mut found = Surveyed::default();
-        for candidate in &self.candidates {
-            match candidate.excluded {
-                Some(reason) => {
-                    *found.excluded.entry(self.reasons[reason].clone()).or_default() += 1;
-                }
-                None => {
-                    let part = candidate.fixed.or_else(|| candidate.group.map(|at| divided[at]));
-                    found.kept.push((candidate.trial, part));
-                }
-            }
-        }
-        found
+        let kept = self.selected.iter().map(|Selected { trial, group, fixed }| {
+            (*trial, fixed.or_else(|| group.map(|at| divided[at])))
+        });
+        Surveyed { kept: kept.collect(), excluded: self.excluded }
     }
 }
 

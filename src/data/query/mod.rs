@@ -43,7 +43,7 @@ pub const TIME_MAX: Duration = Duration::from_secs(60);
 /// rest.
 pub const TAKEN_WITHIN: Duration = Duration::from_secs(300);
 /// Longest wait for the turn of a query.
-pub const QUERY_WAIT: Duration = Duration::from_secs(10);
+const QUERY_WAIT: Duration = Duration::from_secs(10);
 /// Queries in progress; further ones wait. While a run is driven it is one, with one thread.
 pub const QUERIES: usize = 2;
 /// Largest number of rows of a result.

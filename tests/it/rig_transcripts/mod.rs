@@ -45,7 +45,7 @@ fn axis(
         guard,
     };
     let station = Station::new(Arc::clone(line), unit, "x");
-    let (gate, clock) = (MotionGate::new(StopLatch::new()), Clock::new(RATE));
+    let (gate, clock) = (MotionGate::new(StopLatch::default()), Clock::new(RATE));
     device.open(AxisParts { name: "x", station, profile, gate, clock })
 }
 
@@ -213,7 +213,7 @@ async fn the_voltage_stream_over_tcp() {
         let config = ErtConfig::Tcp { address, electrodes: 4, frame_rate_hz: 30.0 };
         let age = Duration::from_secs(5);
         let stream = ErtStream::open(&config, age, Clock::new(1.0)).unwrap();
-        let mut feed = stream.subscribe();
+        let mut feed = stream.follow();
         let mut frames = Vec::new();
         while frames.last().is_none_or(|f: &Arc<palpate::rig::traits::Frame>| f.sequence < 13) {
             frames.push(feed.recv().await.unwrap());

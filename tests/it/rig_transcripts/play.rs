@@ -113,6 +113,6 @@ pub fn line(steps: VecDeque<Step>, framing: Framing) -> (Arc<Line>, JoinHandle<(
         stop_grace: Duration::from_millis(15),
     };
     let device = tokio::spawn(play(steps, wires));
-    let line = Line::spawn("wire", framing, "port", opener, policy, Clock::new(RATE));
+    let line = Line::spawn(framing, "port", opener, policy, Clock::new(RATE));
     (Arc::new(line), device)
 }

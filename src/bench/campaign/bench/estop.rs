@@ -319,8 +319,17 @@ pub(in crate::campaign) async fn stands(axis: &dyn Axis) -> Result<(), String> {
 mod tests {
     use std::sync::atomic::Ordering;
 
+    use tokio::task::JoinHandle;
+
     use super::*;
     use crate::campaign::bench::stand_in::StandIns;
+
+    /// A switch, axes, and the task that sends them its stops; the end of a test ends it.
+    fn served() -> (StopSwitch, StandIns, JoinHandle<()>) {
+        let (stop, axes) = (StopSwitch::default(), StandIns::default());
+        let serving = tokio::spawn(stop.clone().serve(axes.bench()));
+        (stop, axes, serving)
+    }
 
     /// Waits until every axis has acknowledged the stop of the first press, and `stops` were received.
     async fn acknowledged(stop: &StopSwitch, axes: &StandIns, stops: u64) -> f64 {
@@ -338,22 +347,19 @@ mod tests {
 
     #[tokio::test]
     async fn a_further_press_sends_the_stops_again_and_shows_the_time_of_the_first() {
-        let (stop, axes) = (StopSwitch::default(), StandIns::default());
-        let serving = tokio::spawn(stop.clone().serve(axes.bench()));
+        let (stop, axes, _serving) = served();
         stop.press("first");
         let first_ms = acknowledged(&stop, &axes, 4).await;
         tokio::time::sleep(Duration::from_millis(20)).await;
         stop.press("second");
         assert_eq!(acknowledged(&stop, &axes, 8).await, first_ms);
         assert_eq!(stop.pressed().unwrap().why, "first");
-        serving.abort();
     }
 
     #[tokio::test]
     async fn a_further_press_stops_the_others_again_while_one_axis_is_silent() {
-        let (stop, axes) = (StopSwitch::default(), StandIns::default());
+        let (stop, axes, _serving) = served();
         axes.x.replies.store(false, Ordering::SeqCst);
-        let serving = tokio::spawn(stop.clone().serve(axes.bench()));
         for stops in [3, 6] {
             stop.press("silent");
             let sent = async {
@@ -366,7 +372,6 @@ mod tests {
         }
         axes.x.replies.store(true, Ordering::SeqCst);
         acknowledged(&stop, &axes, 7).await;
-        serving.abort();
     }
 
     /// Waits until this holds for the stops of the latched press.
@@ -379,11 +384,15 @@ mod tests {
         tokio::time::timeout(Duration::from_secs(20), wait).await.expect("it comes to pass");
     }
 
+    /// Whether every axis stands.
+    fn stand(stops: &[AxisStop]) -> bool {
+        stops.len() == 4 && stops.iter().all(|stop| stop.stood_ms.is_some())
+    }
+
     #[tokio::test]
     async fn an_axis_that_acknowledges_and_moves_on_is_named_and_stopped_again_until_it_stands() {
-        let (stop, axes) = (StopSwitch::default(), StandIns::default());
+        let (stop, axes, _serving) = served();
         axes.x.status.lock().moving = true;
-        let serving = tokio::spawn(stop.clone().serve(axes.bench()));
         stop.press("coasts");
         let is_named = |stop: &AxisStop| {
             let moves = stop.error.as_ref().is_some_and(|words| words.contains("STILL MOVES"));
@@ -397,16 +406,11 @@ mod tests {
         let stands = |stop: &AxisStop| stop.stood_ms.is_some() && stop.error.is_none();
         until(&stop, |stops| stops.iter().all(stands)).await;
         assert!(axes.x.stops.load(Ordering::SeqCst) > 1, "sent again");
-        serving.abort();
     }
 
     #[tokio::test]
     async fn after_a_further_press_no_axis_counts_as_standing_before_it_was_read_again() {
-        let (stop, axes) = (StopSwitch::default(), StandIns::default());
-        let serving = tokio::spawn(stop.clone().serve(axes.bench()));
-        let stand = |stops: &[AxisStop]| {
-            stops.len() == 4 && stops.iter().all(|stop| stop.stood_ms.is_some())
-        };
+        let (stop, axes, _serving) = served();
         stop.press("hands");
         until(&stop, stand).await;
         // It is moved at its panel.
@@ -417,24 +421,20 @@ mod tests {
         until(&stop, |stops| stops.iter().any(is_read)).await;
         axes.x.status.lock().moving = false;
         until(&stop, stand).await;
-        serving.abort();
     }
 
     #[tokio::test]
     async fn over_new_wires_no_axis_counts_as_stopped_before_it_has_acknowledged_there() {
-        let (stop, axes) = (StopSwitch::default(), StandIns::default());
-        let serving = tokio::spawn(stop.clone().serve(axes.bench()));
+        let (stop, axes, serving) = served();
         stop.press("hands");
-        until(&stop, |stops| stops.len() == 4 && stops.iter().all(|stop| stop.stood_ms.is_some()))
-            .await;
+        until(&stop, stand).await;
         serving.abort();
         let _ = serving.await;
         axes.x.replies.store(false, Ordering::SeqCst);
-        let serving = tokio::spawn(stop.clone().serve(axes.bench()));
+        tokio::spawn(stop.clone().serve(axes.bench()));
         let is_silent = |stop: &AxisStop| stop.axis == "x" && stop.stood_ms.is_none();
         until(&stop, |stops| stops.iter().any(is_silent)).await;
         assert_eq!(stop.pressed().unwrap().acknowledged_ms(), None);
-        serving.abort();
     }
 
     #[test]

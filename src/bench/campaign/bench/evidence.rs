@@ -81,7 +81,7 @@ impl SkinWatch {
 
     /// RMS difference of a frame from the untouched skin over its channels, with the noise
     /// subtracted, V. Returns none if the number of channels differs.
-    pub fn touch_v(&self, frame: &Frame) -> Option<f64> {
+    fn touch_v(&self, frame: &Frame) -> Option<f64> {
         let voltages = frame.voltages_v();
         if voltages.len() != self.untouched_v.len() || voltages.is_empty() {
             return None;
@@ -229,7 +229,6 @@ impl SilentArms {
 mod tests {
     use super::*;
     use crate::campaign::bench::stand_in;
-    use tokio::time::Instant;
 
     fn limits() -> RigLimits {
         stand_in::config().limits
@@ -238,8 +237,7 @@ mod tests {
     fn frame(sequence: u32, level: i16) -> Arc<Frame> {
         let noise = |c: i16| (c * 7 + sequence as i16 * 13) % 5 - 2;
         let counts = (0..784).map(|c| noise(c) + if c % 2 == 0 { level } else { -level }).collect();
-        let received = Instant::now();
-        Arc::new(Frame { sequence, device_time_us: 0, volts_per_count: 1e-3, counts, received })
+        stand_in::frame(sequence, counts)
     }
 
     fn watch() -> SkinWatch {

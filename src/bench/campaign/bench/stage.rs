@@ -226,9 +226,7 @@ impl Stage {
     pub(in crate::campaign) fn publish(&self, reading: &CellVolts, z_mm: Option<f64>) {
         let age = self.clock.now().saturating_duration_since(reading.at);
         let at = self.clock.timestamp() - age;
-        let (cells, forces) = (&self.config.cells, self.forces_n(&reading.volts));
-        let force = |i: usize| cells.is_live(reading.volts[i]).then_some(forces[i]);
-        let forces_n = std::array::from_fn(force);
+        let forces_n = self.live_forces_n(&reading.volts);
         self.samples.publish(ForceSample { at_ms: at.as_millisecond(), z_mm, forces_n });
     }
 
@@ -312,6 +310,12 @@ impl Stage {
     /// Forces of the arms after subtraction of the tare, N.
     pub fn forces_n(&self, volts: &[f64; ARMS]) -> [f64; ARMS] {
         Outputs { volts, tare_v: &self.tare_v }.forces_n(&self.config.cells)
+    }
+
+    /// Forces of the arms with a connected cell, as `forces_n`.
+    pub fn live_forces_n(&self, volts: &[f64; ARMS]) -> [Option<f64>; ARMS] {
+        let (cells, forces) = (&self.config.cells, self.forces_n(volts));
+        std::array::from_fn(|i| cells.is_live(volts[i]).then_some(forces[i]))
     }
 
     /// Waits for work without motion, such as a commit or frames, and meanwhile checks forces and

@@ -8,7 +8,7 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::Duration;
 
 use async_trait::async_trait;
-use jiff::Timestamp;
+use jiff::{SignedDuration, Timestamp};
 use parking_lot::Mutex;
 use serde_json::Value;
 use tokio::sync::broadcast;
@@ -92,6 +92,18 @@ impl StandIn {
     /// What it reports at present.
     pub fn present(&self) -> AxisStatus {
         *self.status.lock()
+    }
+
+    /// The next motion or homing that is started goes on until the test ends it.
+    pub fn keep_moving(&self) {
+        *self.after_start.lock() = Some(AxisStatus { moving: true, ..self.present() });
+    }
+
+    /// Waits until a motion or homing of it was started.
+    pub async fn started(&self) {
+        while self.starts.load(Ordering::SeqCst) == 0 {
+            tokio::time::sleep(Duration::from_millis(1)).await;
+        }
     }
 
     fn reply(&self, operation: &str) -> Result<(), RigError> {
@@ -220,6 +232,12 @@ impl LoadCells for Cells {
     }
 }
 
+/// A frame that has just arrived, with counts of 1 mV.
+pub fn frame(sequence: u32, counts: Vec<i16>) -> Arc<Frame> {
+    let received = Instant::now();
+    Arc::new(Frame { sequence, device_time_us: 0, volts_per_count: 1e-3, counts, received })
+}
+
 /// A skin that nothing touches; it sends frames when they are taken.
 #[derive(Debug, Default)]
 pub struct Skin {
@@ -243,12 +261,7 @@ impl SkinReader for Skin {
 
     async fn take(&self, _: Instant, count: usize) -> Result<Vec<Arc<Frame>>, RigError> {
         wait(&self.takes).await;
-        let frame = |sequence| {
-            let (device_time_us, volts_per_count, counts) = (0, 1e-3, vec![0; 784]);
-            let received = Instant::now();
-            Arc::new(Frame { sequence, device_time_us, volts_per_count, counts, received })
-        };
-        Ok((1..).take(count).map(frame).collect())
+        Ok((1..).take(count).map(|sequence| frame(sequence, vec![0; 784])).collect())
     }
 }
 
@@ -327,6 +340,13 @@ pub struct Forgetful {
     pub times: Mutex<Vec<Timestamp>>,
     /// When a person took the operator lock.
     pub locked_at: Mutex<Option<Timestamp>>,
+}
+
+impl Forgetful {
+    /// A person has taken the operator lock at this time from now, s.
+    pub fn lock(&self, from_now_s: i64) {
+        *self.locked_at.lock() = Some(Timestamp::now() + SignedDuration::from_secs(from_now_s));
+    }
 }
 
 #[async_trait]

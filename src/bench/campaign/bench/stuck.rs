@@ -3,7 +3,7 @@
 
 /// Consecutive trials with one count after which a channel is called stuck: more than the 11 depths
 /// of a configuration, so that the skin was touched in at least two positions.
-pub const STUCK_AFTER: u32 = 12;
+const STUCK_AFTER: u32 = 12;
 
 /// Last counts of each channel and the number of their repetitions.
 #[derive(Debug, Clone, Default)]

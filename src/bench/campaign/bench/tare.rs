@@ -89,8 +89,7 @@ pub async fn tare(
         readings.push(reading.volts);
         newest = Some(reading);
     }
-    let last = LastTare { zeros_v: &stage.tare_v, accept };
-    let zeros = zeros(&stage.config, stage.tips, &last, &readings);
+    let zeros = zeros(&stage.config, stage.tips, accept, &stage.tare_v, &readings);
     stage.tare_v = zeros.map_err(|halt| unless_hung(halt, stage, newest.as_ref()))?;
     Ok((1..=stage.tips).map(|arm| (arm, stage.tare_v[usize::from(arm) - 1])).collect())
 }
@@ -106,24 +105,17 @@ fn unless_hung(halt: Halt, stage: &Stage, newest: Option<&CellVolts>) -> Halt {
     }
 }
 
-/// Zeros of the cells before a tare.
-struct LastTare<'a> {
-    /// Zeros of arms 1 to 6, V.
-    zeros_v: &'a [f64; ARMS],
-    /// Whether `zeros_v` is a limit.
-    accept: Accept,
-}
-
-/// Zeros of arms 1 to 6, V, from readings in the air.
+/// Zeros of arms 1 to 6, V, from readings in the air. `last_v`: those before.
 fn zeros(
     config: &RigConfig,
     tips: u8,
-    last: &LastTare<'_>,
+    accept: Accept,
+    last_v: &[f64; ARMS],
     readings: &[[f64; ARMS]],
 ) -> Result<[f64; ARMS], Halt> {
     let cells = &config.cells;
     let n = readings.len() as f64;
-    let mut zeros = *last.zeros_v;
+    let mut zeros = *last_v;
     for i in 0..ARMS {
         let arm = i + 1;
         let mean = readings.iter().map(|r| r[i]).sum::<f64>() / n;
@@ -154,9 +146,9 @@ fn zeros(
                 "cell {arm} varies by {spread_n:.2} N in the air, limit {limit:.2} N"
             )));
         }
-        let moved_n = ((mean - last.zeros_v[i]) * cells.newtons_per_volt()).abs();
+        let moved_n = ((mean - last_v[i]) * cells.newtons_per_volt()).abs();
         let limit = config.limits.tare_drift_n;
-        if last.accept == Accept::NearLast && moved_n > limit {
+        if accept == Accept::NearLast && moved_n > limit {
             let detail = format!(
                 "zero of cell {arm} moved by {moved_n:.2} N since the last tare, limit {limit} N"
             );
@@ -187,7 +179,7 @@ mod tests {
         let config = rig();
         let volts = |f: &[f64; ARMS]| f.map(|n| 0.5 + n / config.cells.newtons_per_volt());
         let readings: Vec<_> = forces_n.iter().map(volts).collect();
-        zeros(&config, 2, &LastTare { zeros_v: &LAST, accept }, &readings)
+        zeros(&config, 2, accept, &LAST, &readings)
     }
 
     fn words(refused: Result<[f64; ARMS], Halt>) -> String {
@@ -226,16 +218,15 @@ mod tests {
         }
         // The last zeros have crept.
         let (config, crept) = (rig(), limit_n / rig().cells.newtons_per_volt());
-        let last = LastTare { zeros_v: &LAST.map(|v| v + 0.95 * crept), accept: Accept::NearLast };
-        let detail = words(zeros(&config, 2, &last, &[LAST.map(|v| v + 1.05 * crept)]));
+        let [last, now] = [0.95, 1.05].map(|share| LAST.map(|v| v + share * crept));
+        let detail = words(zeros(&config, 2, Accept::NearLast, &last, &[now]));
         assert!(detail.contains("from the nominal zero (limit 10 N, cells.in_air_n)"), "{detail}");
         // Cells of a larger range have a larger offset.
         let mut large = rig();
         large.cells.full_scale_n = 445.0;
         let offset_v = 0.03 * 445.0 / large.cells.newtons_per_volt();
-        let last = LastTare { zeros_v: &LAST, accept: Accept::AnyZero };
         let read_v = std::array::from_fn(|i| LAST[i] + if i < 2 { offset_v } else { 0.0 });
-        assert!(zeros(&large, 2, &last, &[read_v]).is_ok());
+        assert!(zeros(&large, 2, Accept::AnyZero, &LAST, &[read_v]).is_ok());
     }
 
     #[test]

@@ -75,10 +75,9 @@ fn device_rate(frames: &[Arc<Frame>]) -> Option<f64> {
         let wall_s = (f.received - first.received).as_secs_f64();
         (wall_s, (f.device_time_us as f64 - first.device_time_us as f64) * 1e-6)
     };
-    let span_s = place(frames.last()?).0;
+    let (span_s, device_s) = place(frames.last()?);
     // The least delayed frame is the most advanced in device time, relative to the approximate
     // rate.
-    let (_, device_s) = place(frames.last()?);
     let about = device_s / span_s;
     let least_delayed = |from: f64, to: f64| {
         let within = frames.iter().map(|f| place(f)).filter(|p| (from..=to).contains(&p.0));
@@ -97,7 +96,7 @@ async fn collect(
     stream: &ErtStream,
     clock: &Clock,
 ) -> Vec<Arc<Frame>> {
-    let mut feed = stream.subscribe();
+    let mut feed = stream.follow();
     let needed = clock.wall(FRAMES_MIN as f64 / config.frame_rate_hz());
     let deadline: Instant = clock.now() + 2 * needed + frame_age + Duration::from_secs(1);
     let mut frames: Vec<Arc<Frame>> = Vec::with_capacity(FRAMES_MIN);

@@ -11,7 +11,7 @@ const FLOOR_SHARE: f64 = 0.02;
 const PLAN_SHARE: f64 = 0.15;
 
 /// Running mean and spread of the wall time per trial, over configurations.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Default)]
 pub struct Pace {
     predicted_s: f64,
     trials: f64,
@@ -24,14 +24,7 @@ pub struct Pace {
 impl Pace {
     /// Starts from the plan: predicted wall seconds per trial.
     pub fn predicted(per_trial_s: f64) -> Self {
-        Self {
-            predicted_s: per_trial_s,
-            trials: 0.0,
-            total_s: 0.0,
-            configurations: 0.0,
-            mean_s: 0.0,
-            m2: 0.0,
-        }
+        Self { predicted_s: per_trial_s, ..Self::default() }
     }
 
     /// Adds the duration of `trials` trials of one configuration, wall s.

@@ -67,7 +67,7 @@ pub struct Entry {
 }
 
 /// Setting that a step belongs to; none for manual trials.
-pub fn setting_of(step: &Step) -> Option<u32> {
+fn setting_of(step: &Step) -> Option<u32> {
     match step {
         Step::TipChange { setting, .. } | Step::TouchOff { setting, .. } => Some(*setting),
         Step::Reference(press) => Some(press.setting),
@@ -79,18 +79,12 @@ pub fn setting_of(step: &Step) -> Option<u32> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::schedule::experiment::Experiment;
     use crate::schedule::plan::Plan;
+    use crate::schedule::tests::{hex, planned};
     use proptest::prelude::*;
-    use sim_core::sensor::Sensor;
 
     fn plan() -> Plan {
-        let text = "name = 'resume'\nseed = 3\nsensor = 's'\n\
-                    [real_hex]\ntips = [1, 3]\nconfigurations = 4\ndepths = 3\n";
-        let experiment = Experiment::from_toml("t.toml", text).expect("sound");
-        let sensor = include_str!("../../../../experiments/sensors/ert-28.toml");
-        let sensor = Sensor::from_toml(sensor).expect("sound");
-        Plan::of("t.toml", &experiment, &sensor).expect("sound")
+        planned(&hex(3, "tips = [1, 3]\nconfigurations = 4\ndepths = 3\n"))
     }
 
     /// Executes the plan with interruptions after the given numbers of trials; returns the keys in

@@ -417,13 +417,13 @@ impl Handle {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::campaign::bench::stand_in;
     use crate::campaign::shown::show;
     use crate::rig::setup::RigSetup;
 
     #[tokio::test]
     async fn a_motion_that_nobody_waits_for_is_dropped_and_a_stop_is_not() {
-        let rig = include_str!("../../../../experiments/rigs/virtual.toml");
-        let setup = RigSetup::from_toml("virtual.toml", rig).unwrap();
+        let setup = RigSetup::from(stand_in::config());
         let (handle, mut inbox) = channel(StopSwitch::default(), show::closed(&setup));
         let mounted = Request::Mounted { tips: 2, who: "ada".into() };
         for request in [Request::Home, Request::Stop, mounted, Request::Resume, Request::Abort] {

@@ -60,14 +60,12 @@ impl FrameViews {
 #[cfg(test)]
 mod tests {
     use tokio::sync::broadcast::error::TryRecvError;
-    use tokio::time::Instant;
 
     use super::*;
+    use crate::campaign::bench::stand_in;
 
     fn frame(sequence: u32) -> Arc<Frame> {
-        let (device_time_us, volts_per_count, counts) = (0, 1e-3, vec![0; 4]);
-        let received = Instant::now();
-        Arc::new(Frame { sequence, device_time_us, volts_per_count, counts, received })
+        stand_in::frame(sequence, vec![0; 4])
     }
 
     #[test]

@@ -130,18 +130,12 @@ pub async fn bench(control: &Control, stage: &Stage) {
     if let Some(reading) = &reading {
         stage.publish(reading, pose.map(|pose| pose.z_mm));
     }
-    let live = reading.map(|r| {
-        let cells = &stage.config.cells;
-        let forces = stage.forces_n(&r.volts);
-        (0..forces.len())
-            .map(|i| cells.is_live(r.volts[i]).then_some(forces[i]))
-            .collect::<Vec<_>>()
-    });
+    let live = reading.map(|reading| stage.live_forces_n(&reading.volts));
     control.show(|status| {
         let rig = &mut status.rig;
         rig.pose = pose;
-        rig.live_cells = live.as_ref().map(|l| l.iter().filter(|f| f.is_some()).count() as u8);
-        rig.forces_n = live.unwrap_or_default();
+        rig.live_cells = live.map(|forces| forces.iter().flatten().count() as u8);
+        rig.forces_n = live.map_or_else(Vec::new, Vec::from);
     });
 }
 

@@ -66,11 +66,8 @@ pub async fn measure(
     // Nothing is stored of weights that lay while the computer was suspended.
     control.attend()?;
     let dropped = (after.missed - before.missed) + (after.garbled - before.garbled);
-    let quality = FrameQuality {
-        dropped_packets: Some(dropped as u32),
-        ..frame_quality(frames.iter().map(AsRef::as_ref))
-    };
-    let mut flags = frame_flags(frames.iter().map(AsRef::as_ref), plan_measure);
+    let quality = FrameQuality { dropped_packets: Some(dropped as u32), ..frame_quality(&frames) };
+    let mut flags = frame_flags(&frames, plan_measure);
     if !at_rest {
         flags.push(Flag::Unsettled);
     }

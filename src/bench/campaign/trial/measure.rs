@@ -1,6 +1,8 @@
 //! Settling, frames and forces of one held load, with flags for possible faults.
 //! Uses: `campaign::bench::stage`, `rig::traits`. Never: storage, the plan.
 
+use std::sync::Arc;
+
 use crate::campaign::bench::evidence::SkinWatch;
 use crate::campaign::bench::stage::Stage;
 use crate::campaign::run::control::Control;
@@ -94,14 +96,14 @@ pub async fn take(
         let found = wrong.counts.len();
         return Err(Halt::Failed(format!("a frame of {found} values, {expected} expected")));
     }
-    let mut flags = frame_flags(frames.iter().map(AsRef::as_ref), measure);
+    let mut flags = frame_flags(&frames, measure);
     let counters = skin.counters();
     let missed = counters.missed - counters_before.missed;
     let garbled = counters.garbled - counters_before.garbled;
     let quality = FrameQuality {
         dropped_packets: Some((missed + garbled) as u32),
         stuck_channels: frames.first().map(|frame| stage.stuck.push(&frame.counts)),
-        ..frame_quality(frames.iter().map(AsRef::as_ref))
+        ..frame_quality(&frames)
     };
     let consecutive = frames.windows(2).all(|p| p[1].sequence == p[0].sequence.wrapping_add(1));
     if !consecutive && missed > 0 {
@@ -136,28 +138,25 @@ async fn proven(stage: &mut Stage, control: &mut Control) -> Result<CellVolts, H
 }
 
 /// Flags that follow from frames alone.
-pub fn frame_flags<'a>(
-    frames: impl Iterator<Item = &'a Frame> + Clone,
-    measure: &Measure,
-) -> Vec<Flag> {
+pub fn frame_flags(frames: &[Arc<Frame>], measure: &Measure) -> Vec<Flag> {
     let mut flags = Vec::new();
-    if frames.clone().any(|f| f.saturated_channels() > 0) {
+    if frames.iter().any(|f| f.saturated_channels() > 0) {
         flags.push(Flag::SaturatedChannels);
     }
-    if frames.clone().any(|f| f.largest_injection_sum_v() > measure.injection_sum_v) {
+    if frames.iter().any(|f| f.largest_injection_sum_v() > measure.injection_sum_v) {
         flags.push(Flag::InjectionSum);
     }
     flags
 }
 
 /// Quality counts that follow from frames alone.
-pub fn frame_quality<'a>(frames: impl Iterator<Item = &'a Frame> + Clone) -> FrameQuality {
-    let saturated = frames.clone().map(Frame::saturated_channels).max().unwrap_or(0);
+pub fn frame_quality(frames: &[Arc<Frame>]) -> FrameQuality {
+    let saturated = frames.iter().map(|f| f.saturated_channels()).max().unwrap_or(0);
     FrameQuality {
         saturated_channels: Some(saturated as u32),
         // A frame that lacks a channel is never accepted.
         missing_channels: Some(0),
-        injection_sum_v: frames.map(Frame::largest_injection_sum_v).reduce(f64::max),
+        injection_sum_v: frames.iter().map(|f| f.largest_injection_sum_v()).reduce(f64::max),
         ..FrameQuality::default()
     }
 }

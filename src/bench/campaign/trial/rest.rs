@@ -55,7 +55,7 @@ impl Window {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use tokio::time::Instant;
+    use crate::campaign::bench::stand_in;
 
     fn frames(level: f64, drift: f64) -> Vec<Arc<Frame>> {
         (0..WINDOW)
@@ -66,13 +66,7 @@ mod tests {
                         (level + drift * i as f64 + noise) as i16
                     })
                     .collect();
-                Arc::new(Frame {
-                    sequence: i as u32,
-                    device_time_us: 0,
-                    volts_per_count: 1e-3,
-                    counts,
-                    received: Instant::now(),
-                })
+                stand_in::frame(i as u32, counts)
             })
             .collect()
     }

@@ -116,10 +116,8 @@ impl UntouchedSkin {
 
 #[cfg(test)]
 mod tests {
-    use tokio::time::Instant;
-
     use super::*;
-    use crate::rig::traits::Frame;
+    use crate::campaign::bench::stand_in;
 
     /// A window of 784 channels with a load in half of them, in counts of 1 mV, and noise; it ends at second `at_s`.
     fn seen(load: f64, at_s: i64) -> Seen {
@@ -128,9 +126,7 @@ mod tests {
                 let noise = |c: i32| f64::from((c * 31 + i * 17) % 7 - 3);
                 let load = |c: i32| if c % 2 == 0 { load } else { 0.0 };
                 let counts = (0..784).map(|c| (noise(c) + load(c)).round() as i16).collect();
-                let (sequence, device_time_us, volts_per_count) = (0, 0, 1e-3);
-                let received = Instant::now();
-                Arc::new(Frame { sequence, device_time_us, volts_per_count, counts, received })
+                stand_in::frame(0, counts)
             })
             .collect();
         Seen { window: Window::of(&frames), at: Timestamp::from_second(at_s).unwrap() }

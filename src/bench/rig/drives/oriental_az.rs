@@ -76,19 +76,6 @@ fn current(torque_percent: Option<u32>) -> i32 {
     (torque_percent.unwrap_or(100) * CURRENT_PER_PERCENT) as i32
 }
 
-/// Requests that write and read back the guards. The current is also part of the block of each
-/// motion; homing has its own current, which these do not limit.
-fn guard_requests(guard: &Guard) -> Vec<GuardRequest> {
-    let request = |key, address, value: i32| {
-        let words = to_words(value).to_vec();
-        let write = Request::WriteRegisters { address, words: words.clone() };
-        GuardRequest { key, write, read: Request::ReadHolding { address, count: 2 }, words }
-    };
-    let watchdog = guard.watchdog_ms.map(|ms| request("watchdog_ms", TIMEOUT, ms as i32));
-    let torque = guard.torque_percent.map(|p| request("torque_percent", CURRENT, current(Some(p))));
-    watchdog.into_iter().chain(torque).collect()
-}
-
 /// An absolute motion as direct data operation.
 fn move_block(order: &MoveOrder) -> Request {
     let rate = to_count(order.acceleration, RATE_MAX);
@@ -173,8 +160,17 @@ impl Drive for OrientalAz {
         vec![input(IN_ALARM_RESET), input(0)]
     }
 
+    /// The current is also part of the block of each motion; homing has its own current, which these do not limit.
     fn guard_requests(&self, guard: &Guard) -> Vec<GuardRequest> {
-        guard_requests(guard)
+        let request = |key, address, value: i32| {
+            let words = to_words(value).to_vec();
+            let write = Request::WriteRegisters { address, words: words.clone() };
+            GuardRequest { key, write, read: Request::ReadHolding { address, count: 2 }, words }
+        };
+        let watchdog = guard.watchdog_ms.map(|ms| request("watchdog_ms", TIMEOUT, ms as i32));
+        let torque = guard.torque_percent;
+        let torque = torque.map(|p| request("torque_percent", CURRENT, current(Some(p))));
+        watchdog.into_iter().chain(torque).collect()
     }
 }
 
@@ -205,9 +201,9 @@ mod tests {
 
     #[test]
     fn a_guard_is_written_and_the_same_words_are_expected_back() {
-        assert_eq!(guard_requests(&Guard::default()), []);
+        assert_eq!(OrientalAz.guard_requests(&Guard::default()), []);
         let guard = Guard { watchdog_ms: Some(70_000), torque_percent: Some(60) };
-        let requests = guard_requests(&guard);
+        let requests = OrientalAz.guard_requests(&guard);
         let keys: Vec<_> = requests.iter().map(|r| r.key).collect();
         assert_eq!(keys, ["watchdog_ms", "torque_percent"]);
         assert_eq!(requests[0].words, [1, 4464]);

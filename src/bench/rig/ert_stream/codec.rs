@@ -51,8 +51,6 @@ pub struct Tally {
     pub missed: u64,
     /// Number of packets with a wrong code, length, version, electrode count, scale or checksum.
     pub garbled: u64,
-    /// Number of bytes dropped, including the packet that was cut at the opening.
-    pub dropped_bytes: u64,
 }
 
 /// Splits a byte stream into packets. The result does not depend on how the bytes are portioned.
@@ -92,7 +90,6 @@ impl Decoder {
     /// Resets the decoder after the wire was reopened: a partial packet is dropped, and the first
     /// packet may be cut.
     pub fn reopen(&mut self) {
-        self.tally.dropped_bytes += self.packet.len() as u64;
         self.packet.clear();
         self.overflowing = false;
         self.in_step = false;
@@ -110,7 +107,6 @@ impl Decoder {
 
     fn keep(&mut self, bytes: &[u8]) {
         if self.overflowing || self.packet.len() + bytes.len() > self.limit {
-            self.tally.dropped_bytes += (self.packet.len() + bytes.len()) as u64;
             self.packet.clear();
             self.overflowing = true;
         } else {
@@ -119,31 +115,26 @@ impl Decoder {
     }
 
     fn finish(&mut self, emit: &mut impl FnMut(Event)) {
-        let coded = self.packet.len();
-        let empty = coded == 0 && !self.overflowing;
+        let empty = self.packet.is_empty() && !self.overflowing;
         let event = match cobs::decode_in_place(&mut self.packet) {
             Ok(length) if !self.overflowing => parse(&self.packet[..length], self.electrodes),
             _ => None,
         };
         match event {
-            Some(Event::Frame(frame)) => self.accept(frame, coded, emit),
+            Some(Event::Frame(frame)) => self.accept(frame, emit),
             Some(status) => emit(status),
             None if empty => {}
-            None => {
-                self.tally.dropped_bytes += coded as u64;
-                self.tally.garbled += u64::from(self.in_step);
-            }
+            None => self.tally.garbled += u64::from(self.in_step),
         }
         self.packet.clear();
         self.overflowing = false;
         self.in_step = true;
     }
 
-    fn accept(&mut self, frame: RawFrame, coded: usize, emit: &mut impl FnMut(Event)) {
+    fn accept(&mut self, frame: RawFrame, emit: &mut impl FnMut(Event)) {
         let step = self.last_sequence.map_or(1, |last| frame.sequence.wrapping_sub(last));
         if step == 0 {
             self.tally.garbled += 1;
-            self.tally.dropped_bytes += coded as u64;
             return;
         }
         // A lower number means that the device was restarted; nothing is missing then.
@@ -248,7 +239,6 @@ mod tests {
         bytes.extend(frame(4, 2));
         assert_eq!(sequences(&decode(&mut decoder, &bytes)), [2]);
         assert_eq!(decoder.tally().garbled, 0);
-        assert!(decoder.tally().dropped_bytes > 0);
     }
 
     #[test]
@@ -282,7 +272,6 @@ mod tests {
         assert!(decode(&mut decoder, &[0]).is_empty());
         assert!(decode(&mut decoder, &vec![5; 100_000]).is_empty());
         assert!(decoder.packet.capacity() < 1000);
-        assert_eq!(decoder.tally().dropped_bytes, 100_000);
         let mut bytes = vec![0];
         bytes.extend(frame(4, 9));
         assert_eq!(sequences(&decode(&mut decoder, &bytes)), [9]);

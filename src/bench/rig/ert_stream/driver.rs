@@ -11,12 +11,12 @@ use std::thread::JoinHandle;
 use std::time::Duration;
 
 use async_trait::async_trait;
-use parking_lot::{Mutex, MutexGuard};
+use parking_lot::Mutex;
 use tokio::io::AsyncReadExt;
 use tokio::sync::{Notify, broadcast, watch};
 use tokio::time::{Instant, timeout, timeout_at};
 
-use super::codec::{Decoder, Event, RawFrame};
+use super::codec::{Decoder, Event, RawFrame, Tally};
 use super::timing::DeviceTiming;
 use crate::clock::Clock;
 use crate::priority;
@@ -40,19 +40,12 @@ const BITS_PER_BYTE: f64 = 10.0;
 
 #[derive(Debug)]
 struct Shared {
-    frames: AtomicU64,
-    missed: AtomicU64,
-    garbled: AtomicU64,
-    dropped_bytes: AtomicU64,
+    tally: Mutex<Tally>,
     reconnects: AtomicU64,
     timing: Mutex<DeviceTiming>,
     /// Last line of text from the device, and the reason why the wire is down; none if it works.
     status: Mutex<(Option<String>, Option<String>)>,
     stop: Notify,
-}
-
-fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock()
 }
 
 /// Reader of the voltage stream. Dropping it ends its thread.
@@ -86,23 +79,10 @@ impl ErtStream {
                 (serial_opener(settings), bytes * BITS_PER_BYTE / f64::from(*baud))
             }
         };
-        Self::over(opener, sending_s, config, frame_age, clock)
-    }
-
-    fn over(
-        opener: Opener,
-        sending_s: f64,
-        config: &ErtConfig,
-        frame_age: Duration,
-        clock: Clock,
-    ) -> Result<Self, RigError> {
         let period_s = 1.0 / config.frame_rate_hz();
         let shared = Arc::new(Shared {
-            frames: AtomicU64::new(0),
-            missed: AtomicU64::new(0),
-            garbled: AtomicU64::new(0),
-            dropped_bytes: AtomicU64::new(0),
-            reconnects: AtomicU64::new(0),
+            tally: Mutex::default(),
+            reconnects: AtomicU64::default(),
             timing: Mutex::new(DeviceTiming::new(period_s, sending_s, clock.rate())),
             status: Mutex::default(),
             stop: Notify::new(),
@@ -120,33 +100,22 @@ impl ErtStream {
             silence: frame_age.max(2 * frame_period),
             clock: clock.clone(),
         };
-        let thread = start(reader)?;
-        let thread = Some(thread);
+        let thread = Some(start(reader)?);
         Ok(Self { shared, newest, feed, frame_age, frame_period, clock, thread })
     }
 
     /// Last line of text from the device; none before the first.
     pub fn status_line(&self) -> Option<String> {
-        lock(&self.shared.status).0.clone()
+        self.shared.status.lock().0.clone()
     }
 
     /// Reason why the wire is down; none if it works.
     pub fn wire_trouble(&self) -> Option<String> {
-        lock(&self.shared.status).1.clone()
-    }
-
-    /// Number of bytes dropped.
-    pub fn dropped_bytes(&self) -> u64 {
-        self.shared.dropped_bytes.load(Ordering::Relaxed)
-    }
-
-    /// Subscribes to all frames from now on; a slow receiver loses frames.
-    pub fn subscribe(&self) -> broadcast::Receiver<Arc<Frame>> {
-        self.feed.subscribe()
+        self.shared.status.lock().1.clone()
     }
 
     fn sampled_after(&self, frame: &Frame, moment_s: f64) -> bool {
-        let sampled = lock(&self.shared.timing).sampled_s(frame.device_time_us);
+        let sampled = self.shared.timing.lock().sampled_s(frame.device_time_us);
         sampled.is_some_and(|s| s >= moment_s)
     }
 }
@@ -168,17 +137,13 @@ impl SkinReader for ErtStream {
     }
 
     fn follow(&self) -> broadcast::Receiver<Arc<Frame>> {
-        self.subscribe()
+        self.feed.subscribe()
     }
 
     fn counters(&self) -> StreamCounters {
-        let get = |c: &AtomicU64| c.load(Ordering::Relaxed);
-        StreamCounters {
-            frames: get(&self.shared.frames),
-            missed: get(&self.shared.missed),
-            garbled: get(&self.shared.garbled),
-            reconnects: get(&self.shared.reconnects),
-        }
+        let Tally { frames, missed, garbled } = *self.shared.tally.lock();
+        let reconnects = self.shared.reconnects.load(Ordering::Relaxed);
+        StreamCounters { frames, missed, garbled, reconnects }
     }
 
     async fn take(&self, not_before: Instant, count: usize) -> Result<Vec<Arc<Frame>>, RigError> {
@@ -256,11 +221,11 @@ impl Reader {
                     }
                     self.shared.reconnects.fetch_add(1, Ordering::Relaxed);
                     self.decoder.reopen();
-                    lock(&self.shared.timing).forget();
+                    self.shared.timing.lock().forget();
                     ended
                 }
             };
-            lock(&self.shared.status).1 = Some(trouble);
+            self.shared.status.lock().1 = Some(trouble);
             tokio::time::sleep(wait).await;
             wait = (2 * wait).min(REOPEN_WAIT[1]);
         }
@@ -288,17 +253,15 @@ impl Reader {
         let (decoder, events) = (&mut self.decoder, &mut self.events);
         decoder.push(bytes, |event| events.push(event));
         let (tally, shared) = (self.decoder.tally(), &self.shared);
-        if tally.frames != shared.frames.swap(tally.frames, Ordering::Relaxed) {
-            lock(&shared.status).1 = None;
+        let before = std::mem::replace(&mut *shared.tally.lock(), tally);
+        if tally.frames != before.frames {
+            shared.status.lock().1 = None;
         }
-        shared.missed.store(tally.missed, Ordering::Relaxed);
-        shared.garbled.store(tally.garbled, Ordering::Relaxed);
-        shared.dropped_bytes.store(tally.dropped_bytes, Ordering::Relaxed);
         for event in self.events.drain(..) {
             match event {
-                Event::Status(line) => lock(&shared.status).0 = Some(line),
+                Event::Status(line) => shared.status.lock().0 = Some(line),
                 Event::Frame(raw) => {
-                    lock(&shared.timing).arrived(raw.device_time_us, host_s);
+                    shared.timing.lock().arrived(raw.device_time_us, host_s);
                     let frame = Arc::new(frame(raw, received));
                     self.newest.send_replace(Some(Arc::clone(&frame)));
                     // There may be no taker at present.

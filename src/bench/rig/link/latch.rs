@@ -11,16 +11,11 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
 use super::error::LineError;
 
-/// Emergency stop of the rig, latched until a person clears it. All clones share it.
+/// Emergency stop of the rig, latched until a person clears it; released by default. All clones share it.
 #[derive(Debug, Clone, Default)]
 pub struct StopLatch(Arc<AtomicBool>);
 
 impl StopLatch {
-    /// Creates a latch that is released: motion is allowed.
-    pub fn new() -> Self {
-        Self::default()
-    }
-
     /// Latches: no wire sends a motion command any more.
     pub fn latch(&self) {
         self.0.store(true, Ordering::SeqCst);
@@ -32,7 +27,7 @@ impl StopLatch {
     }
 
     /// Whether the stop is latched, so that motion is refused.
-    pub fn is_latched(&self) -> bool {
+    fn is_latched(&self) -> bool {
         self.0.load(Ordering::SeqCst)
     }
 }
@@ -97,7 +92,7 @@ mod tests {
 
     #[test]
     fn a_stop_voids_what_was_permitted_before_it_and_nothing_after() {
-        let gate = MotionGate::new(StopLatch::new());
+        let gate = MotionGate::new(StopLatch::default());
         let before = gate.permit().unwrap();
         gate.void();
         assert_eq!(before.check(), Err(LineError::Withdrawn));
@@ -106,7 +101,7 @@ mod tests {
 
     #[test]
     fn a_latched_rig_refuses_every_axis_until_cleared() {
-        let latch = StopLatch::new();
+        let latch = StopLatch::default();
         let (x, y) = (MotionGate::new(latch.clone()), MotionGate::new(latch.clone()));
         let given = x.permit().unwrap();
         latch.latch();

@@ -31,7 +31,6 @@ const REQUESTS_BETWEEN: u32 = 4;
 /// Handle of a wire. Dropping it ends the owner.
 #[derive(Debug)]
 pub struct Line {
-    name: String,
     policy: LinePolicy,
     ordinary: mpsc::Sender<Job>,
     urgent: mpsc::Sender<Job>,
@@ -46,7 +45,6 @@ impl Line {
     /// # Panics
     /// Outside a tokio runtime.
     pub fn spawn(
-        name: impl Into<String>,
         framing: Framing,
         port: impl Into<String>,
         opener: Opener,
@@ -66,12 +64,7 @@ impl Line {
             bell: Arc::clone(&bell),
         };
         tokio::spawn(owner.run());
-        Self { name: name.into(), policy, ordinary, urgent, bell, counters }
-    }
-
-    /// Name of the wire in the rig file.
-    pub fn name(&self) -> &str {
-        &self.name
+        Self { policy, ordinary, urgent, bell, counters }
     }
 
     /// Deadlines and limits of the line.

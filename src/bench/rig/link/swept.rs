@@ -7,7 +7,7 @@
 
 use std::io;
 use std::pin::Pin;
-use std::task::{Context, Poll, ready};
+use std::task::{Context, Poll};
 
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 
@@ -65,8 +65,7 @@ impl AsyncWrite for Swept {
             self.sweep(cx)?;
             self.swept = true;
         }
-        let written = ready!(Pin::new(&mut self.port).poll_write(cx, buf));
-        Poll::Ready(written)
+        Pin::new(&mut self.port).poll_write(cx, buf)
     }
 
     fn poll_flush(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<io::Result<()>> {

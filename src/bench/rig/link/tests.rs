@@ -79,6 +79,12 @@ struct Rig {
     asked: mpsc::Receiver<Asked>,
 }
 
+/// A line that asks three times.
+fn line(framing: Framing, timeout: Duration, opener: Opener) -> Arc<Line> {
+    let policy = LinePolicy { timeout, attempts: 3, silence: Duration::ZERO, stop_grace: GRACE };
+    Arc::new(Line::spawn(framing, "rig:502", opener, policy, Clock::new(1.0)))
+}
+
 /// What opens a wire, and its ends at the device, one for each time that it is opened.
 fn opener() -> (Opener, mpsc::Receiver<DuplexStream>) {
     let (wires_in, wires) = mpsc::channel(4);
@@ -101,10 +107,7 @@ fn patient_rig(timeout: Duration, script: impl FnMut(usize, Asked) -> Act + Send
     let (opener, wires) = opener();
     let (log, asked) = mpsc::channel(100);
     tokio::spawn(serve(wires, script, log));
-    let policy = LinePolicy { timeout, attempts: 3, silence: Duration::ZERO, stop_grace: GRACE };
-    let clock = Clock::new(1.0);
-    let line = Arc::new(Line::spawn("wire", Framing::Tcp, "rig:502", opener, policy, clock));
-    Rig { line, asked }
+    Rig { line: line(Framing::Tcp, timeout, opener), asked }
 }
 
 impl Rig {
@@ -119,6 +122,11 @@ fn read() -> Request {
 
 fn coil(address: u16) -> Request {
     Request::WriteCoil { address, on: true }
+}
+
+/// The permit of a motion that no stop voids.
+fn permit() -> MotionPermit {
+    MotionGate::new(StopLatch::default()).permit().unwrap()
 }
 
 #[tokio::test]
@@ -193,9 +201,8 @@ async fn a_motion_that_may_have_been_received_is_handed_back_not_repeated() {
             6 if n == 2 => Act::Echo,
             _ => Act::Exception(code),
         });
-        let permit = MotionGate::new(StopLatch::new()).permit().unwrap();
         // A busy device (6) has refused it, and a gateway without a path (0xA) has not passed it on.
-        let accepted = rig.line.ask_motion(1, coil(1), permit).await.is_ok();
+        let accepted = rig.line.ask_motion(1, coil(1), permit()).await.is_ok();
         assert_eq!((rig.seen().len(), accepted), (sent, code == 6), "exception {code}");
     }
 }
@@ -203,7 +210,7 @@ async fn a_motion_that_may_have_been_received_is_handed_back_not_repeated() {
 #[tokio::test]
 async fn a_stop_overtakes_and_voids_the_motions_that_waited() {
     let mut rig = rig(|n, _| if n == 0 { Act::Late(GRACE / 2) } else { Act::Echo });
-    let gate = MotionGate::new(StopLatch::new());
+    let gate = MotionGate::new(StopLatch::default());
     let permit = gate.permit().unwrap();
     let ask = |address, permit: Option<MotionPermit>| {
         let line = Arc::clone(&rig.line);
@@ -244,9 +251,8 @@ async fn a_stop_cuts_off_a_request_that_hangs_and_the_request_goes_on_after_it()
 #[tokio::test]
 async fn a_motion_that_a_stop_cut_off_is_handed_back_not_repeated() {
     let mut rig = patient_rig(LONG, |n, _| if n == 0 { Act::Silence } else { Act::Echo });
-    let gate = MotionGate::new(StopLatch::new());
-    let (line, permit) = (Arc::clone(&rig.line), gate.permit().unwrap());
-    let hanging = tokio::spawn(async move { line.ask_motion(2, coil(1), permit).await });
+    let line = Arc::clone(&rig.line);
+    let hanging = tokio::spawn(async move { line.ask_motion(2, coil(1), permit()).await });
     assert_eq!(rig.asked.recv().await, Some((2, 5, 1)));
     rig.line.ask_urgent(1, coil(9)).await.unwrap();
     assert!(matches!(hanging.await.unwrap(), Err(LineError::NoReply { .. })));
@@ -281,18 +287,17 @@ async fn a_silent_drive_does_not_keep_the_raise_of_another_waiting() {
         let line = Arc::clone(line);
         tokio::spawn(async move { line.ask_urgent(2, coil(9)).await })
     };
-    let gate = MotionGate::new(StopLatch::new());
     // It is not known to be silent: its first stop is waited for, and not those after it.
     let silent = stop_of_2(&rig.line);
     assert_eq!(rig.asked.recv().await, Some((2, 5, 9)));
-    rig.line.ask_motion(1, coil(1), gate.permit().unwrap()).await.unwrap();
+    rig.line.ask_motion(1, coil(1), permit()).await.unwrap();
     assert!(silent.await.unwrap().is_err());
     assert_eq!(rig.seen(), [(1, 5, 1), (2, 5, 9), (2, 5, 9)]);
     // From now on it is known.
     let silent = stop_of_2(&rig.line);
     assert_eq!(rig.asked.recv().await, Some((2, 5, 9)));
     let asked = Instant::now();
-    rig.line.ask_motion(1, coil(1), gate.permit().unwrap()).await.unwrap();
+    rig.line.ask_motion(1, coil(1), permit()).await.unwrap();
     assert!(asked.elapsed() < LONG / 5, "{:?}", asked.elapsed());
     assert!(silent.await.unwrap().is_err());
     assert_eq!(rig.seen(), [(1, 5, 1), (2, 5, 9), (2, 5, 9)]);
@@ -331,7 +336,7 @@ async fn several_silent_drives_do_not_keep_a_request_to_another_device_waiting()
 #[tokio::test]
 async fn a_latched_rig_sends_no_motion_but_reads_and_stops() {
     let mut rig = rig(|_, (_, f, _)| if f == 3 { Act::Words(vec![1]) } else { Act::Echo });
-    let latch = StopLatch::new();
+    let latch = StopLatch::default();
     let permit = MotionGate::new(latch.clone()).permit().unwrap();
     latch.latch();
     assert_eq!(rig.line.ask_motion(1, coil(1), permit.clone()).await, Err(LineError::Latched));
@@ -356,11 +361,8 @@ async fn a_motion_whose_wire_opens_after_the_stop_was_latched_is_not_sent() {
             Ok(Box::new(port) as Box<dyn Port>)
         })
     });
-    let silence = Duration::ZERO;
-    let policy = LinePolicy { timeout: LONG, attempts: 3, silence, stop_grace: GRACE };
-    let clock = Clock::new(1.0);
-    let line = Arc::new(Line::spawn("wire", Framing::Tcp, "rig:502", opener, policy, clock));
-    let latch = StopLatch::new();
+    let line = line(Framing::Tcp, LONG, opener);
+    let latch = StopLatch::default();
     let permit = MotionGate::new(latch.clone()).permit().unwrap();
     let asking = Arc::clone(&line);
     let moving = tokio::spawn(async move { asking.ask_motion(1, coil(1), permit).await });
@@ -394,9 +396,7 @@ const STOP: [u8; 8] = [1, 5, 0, 9, 0xFF, 0, 0x5C, 0x38];
 /// A serial line, and its ends at the device, one for each time that it is opened.
 fn serial(timeout: Duration) -> (Arc<Line>, mpsc::Receiver<DuplexStream>) {
     let (opener, wires) = opener();
-    let policy = LinePolicy { timeout, attempts: 3, silence: Duration::ZERO, stop_grace: GRACE };
-    let line = Line::spawn("wire", Framing::Rtu, "port", opener, policy, Clock::new(1.0));
-    (Arc::new(line), wires)
+    (line(Framing::Rtu, timeout, opener), wires)
 }
 
 /// Waits for a request on a serial line; false once it is closed.
@@ -451,9 +451,8 @@ async fn a_serial_exception_that_may_be_of_an_earlier_write_fails_no_stop() {
 async fn a_reply_to_an_earlier_write_answers_no_stop(reply: &[u8]) {
     let (line, mut wires) = serial(LONG);
     let write = |word| Request::WriteRegisters { address: 0x7C, words: vec![0, word] };
-    let permit = MotionGate::new(StopLatch::new()).permit().unwrap();
     let asking = Arc::clone(&line);
-    let releasing = tokio::spawn(async move { asking.ask_motion(1, write(0), permit).await });
+    let releasing = tokio::spawn(async move { asking.ask_motion(1, write(0), permit()).await });
     let mut first = wires.recv().await.unwrap();
     assert!(is_asked(&mut first, RELEASE).await);
     let stopping = tokio::spawn(async move { line.ask_urgent(1, write(32)).await });

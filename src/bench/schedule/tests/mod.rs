@@ -11,18 +11,18 @@ use super::experiment::Experiment;
 use super::plan::{Plan, Step};
 
 /// The paper's skin.
-fn skin() -> Sensor {
+pub(super) fn skin() -> Sensor {
     Sensor::from_toml(include_str!("../../../../experiments/sensors/ert-28.toml")).unwrap()
 }
 
-pub(super) fn hex(seed: u64, keys: &str) -> Experiment {
+pub(crate) fn hex(seed: u64, keys: &str) -> Experiment {
     let text = format!(
         "name = \"test\"\nseed = {seed}\nsensor = \"sensors/ert-28.toml\"\n[real_hex]\n{keys}"
     );
     Experiment::from_toml("test.toml", &text).unwrap()
 }
 
-pub(super) fn planned(experiment: &Experiment) -> Plan {
+pub(crate) fn planned(experiment: &Experiment) -> Plan {
     Plan::of("test.toml", experiment, &skin()).unwrap()
 }
 

@@ -263,7 +263,7 @@ impl Catalog {
                 schema::of_dataset(&definition, inputs.channels(&catalog.inner.store).await?);
             let begun = building.take_if(|begun| begun.is_of(&definition));
             let rows = inputs.candidates().saturating_sub(begun.as_ref().map_or(0, Begun::rows));
-            catalog.check_space(Product::Dataset, rows, &columns, Format::Parquet).await?;
+            catalog.check_space(rows, &columns).await?;
             let (store, folder) = (&catalog.inner.store, catalog.datasets());
             let at = catalog.inner.clock.timestamp();
             let row = build(store, &folder, inputs, begun, at, progress).await?;
@@ -281,7 +281,7 @@ impl Catalog {
     pub async fn write_ahead(&self, run: RunUid, scan_id: i64) -> DatasetResult<()> {
         let Ok(mut begun) = self.inner.building.try_lock() else { return Ok(()) };
         let (rows, columns) = (BATCH_ROWS as u64, schema::all(schema::PAPER_CHANNELS));
-        match self.check_space(Product::Dataset, rows, &columns, Format::Parquet).await {
+        match self.check_space(rows, &columns).await {
             Err(DatasetError::DiskFull { .. }) => return Ok(()),
             checked => checked?,
         }
@@ -304,16 +304,10 @@ impl Catalog {
         Ok((existing, inputs))
     }
 
-    /// Checks that the disk has room for a file of `rows` rows.
-    async fn check_space(
-        &self,
-        product: Product,
-        rows: u64,
-        columns: &Schema,
-        format: Format,
-    ) -> DatasetResult<()> {
-        let needed = rows.saturating_mul(space::row_bytes(columns, format));
-        Space { needed, free: self.inner.store.free_bytes().await? }.check(product)
+    /// Checks that the disk has room for a dataset of `rows` rows.
+    async fn check_space(&self, rows: u64, columns: &Schema) -> DatasetResult<()> {
+        let needed = rows.saturating_mul(space::row_bytes(columns, Format::Parquet));
+        Space { needed, free: self.inner.store.free_bytes().await? }.check(Product::Dataset)
     }
 
     /// Checks that the disk has room for an upload of `bytes` bytes and for its trials; 0 bytes: that

@@ -24,7 +24,7 @@ use crate::store::Contact;
 
 /// Radius of the neighbourhood in which a peak is the maximum, and over which its force is summed,
 /// mm.
-pub const NEIGHBOURHOOD_MM: f64 = 32.0;
+const NEIGHBOURHOOD_MM: f64 = 32.0;
 /// Smallest force of a peak in the paper (V-B2), N: the sensor's deadband.
 pub const THRESHOLD_N: f64 = 5.0;
 /// Pixels whose relative difference is below this are equal.

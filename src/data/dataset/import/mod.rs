@@ -163,15 +163,9 @@ fn check(
     let mut hashing = Hashing::default();
     let mut bytes = File::open(path).map_err(DatasetError::file("opening", path))?;
     std::io::copy(&mut bytes, &mut hashing).map_err(DatasetError::file("reading", path))?;
-    let mut checked = Checked {
-        summary: Summary {
-            columns: rows::read(source.schema()),
-            columns_left_out: rows::ignored(source.schema()),
-            ..Summary::default()
-        },
-        simulated: false,
-        sha256: hashing.finish(),
-    };
+    let (columns, columns_left_out) = rows::columns(source.schema());
+    let summary = Summary { columns, columns_left_out, ..Summary::default() };
+    let mut checked = Checked { summary, simulated: false, sha256: hashing.finish() };
     for batch in source.batches()? {
         let trials = reader.read(&batch?).map_err(DatasetError::Problems)?;
         trials.iter().for_each(|trial| checked.summary.add(trial));

@@ -29,16 +29,9 @@ const IMPORTED_FORCE_MAX_N: f64 = 100_000.0;
 /// Largest plausible magnitude of a voltage, V: beyond it the unit is another one, such as mV or counts.
 const VOLTAGE_MAX_V: f32 = 1000.0;
 
-/// Names of the columns of a file that an import reads.
-pub fn read(schema: &Schema) -> Vec<String> {
-    let names = schema.fields().iter().map(|field| field.name());
-    names.filter(|name| is_read(name)).cloned().collect()
-}
-
-/// Names of the columns of a file that an import ignores.
-pub fn ignored(schema: &Schema) -> Vec<String> {
-    let names = schema.fields().iter().map(|field| field.name());
-    names.filter(|name| !is_read(name)).cloned().collect()
+/// Names of the columns of a file that an import reads, and of those that it ignores.
+pub fn columns(schema: &Schema) -> (Vec<String>, Vec<String>) {
+    schema.fields().iter().map(|field| field.name().clone()).partition(|name| is_read(name))
 }
 
 /// Converts batches, one after the other, to trials; checks that no key occurs twice.
@@ -318,17 +311,16 @@ impl<'a> Reader<'a> {
                 [x_mm, y_mm] = self.map.apply([x, y]).map(Some);
             }
             let (width_mm, height_mm) = (self.sensor.width_mm, self.sensor.height_mm);
-            for (name, value, least, most) in [
-                ("x_mm", x_mm, 0.0, width_mm),
-                ("y_mm", y_mm, 0.0, height_mm),
-                ("force_n", force_n, 0.0, IMPORTED_FORCE_MAX_N),
-                ("diameter_mm", diameter_mm, 0.0, width_mm.max(height_mm)),
+            for (name, value, from, most) in [
+                ("x_mm", x_mm, "from", width_mm),
+                ("y_mm", y_mm, "from", height_mm),
+                ("force_n", force_n, "from", IMPORTED_FORCE_MAX_N),
+                ("diameter_mm", diameter_mm, "above", width_mm.max(height_mm)),
             ] {
                 if let Some(value) = value
-                    && (!(least..=most).contains(&value) || name == "diameter_mm" && value == 0.0)
+                    && (!(0.0..=most).contains(&value) || from == "above" && value == 0.0)
                 {
-                    let from = if name == "diameter_mm" { "above" } else { "from" };
-                    let limit = format!("must be {from} {least} to {most}, or null");
+                    let limit = format!("must be {from} 0 to {most}, or null");
                     self.wrong(&format!("contacts[{contact}].{name}"), value, limit);
                 }
             }
@@ -346,11 +338,9 @@ impl<'a> Reader<'a> {
             return Vec::new();
         };
         let words = lists.as_list::<i64>().value(at);
-        let words: Vec<String> =
-            words.as_string::<i32>().iter().flatten().map(str::to_owned).collect();
         let mut flags = Vec::new();
-        for word in words {
-            match serde_json::from_value(word.clone().into()) {
+        for word in words.as_string::<i32>().iter().flatten() {
+            match serde_json::from_value(word.into()) {
                 Ok(flag) => flags.push(flag),
                 Err(error) => self.wrong("flags", word, error.to_string()),
             }

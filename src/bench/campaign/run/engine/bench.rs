@@ -355,9 +355,7 @@ impl Engine {
         self.prepared_setting = None;
         let entered = self.entered_tips();
         let homed = self
-            .guarded(Motion::Homing, |stage, control| {
-                Box::pin(async move { stage.home(control, entered).await })
-            })
+            .guarded(Motion::Homing, async |stage, control| stage.home(control, entered).await)
             .await;
         if homed {
             self.owed = Owed::Nothing;
@@ -371,31 +369,25 @@ impl Engine {
 
     async fn jog(&mut self, target: Target) {
         let entered = self.entered_tips();
-        self.guarded(Motion::Jog, |stage, control| {
-            Box::pin(async move {
-                control.attending(stage.assume_tips(entered)).await??;
-                if target.axis != AxisName::Z {
-                    // The clearance may have grown since: other tips, or an unknown surface.
-                    raise_as_planned(control, stage).await?;
-                }
-                stage.begin_watch();
-                stage.checked_travel(control, target).await
-            })
+        self.guarded(Motion::Jog, async |stage, control| {
+            control.attending(stage.assume_tips(entered)).await??;
+            if target.axis != AxisName::Z {
+                // The clearance may have grown since: other tips, or an unknown surface.
+                raise_as_planned(control, stage).await?;
+            }
+            stage.begin_watch();
+            stage.checked_travel(control, target).await
         })
         .await;
     }
 
     /// Runs a motion outside a run, which the status shows until it ends. Every early end leads to the safe end, and
     /// latches unless it was requested.
-    async fn guarded<F>(&mut self, motion: Motion, drive: F) -> bool
-    where
-        F: for<'a> FnOnce(
-            &'a mut Stage,
-            &'a mut Control,
-        ) -> std::pin::Pin<
-            Box<dyn std::future::Future<Output = Result<(), Halt>> + 'a>,
-        >,
-    {
+    async fn guarded(
+        &mut self,
+        motion: Motion,
+        drive: impl AsyncFnOnce(&mut Stage, &mut Control) -> Result<(), Halt>,
+    ) -> bool {
         let Some(stage) = self.connection.as_mut().and_then(|c| c.stage.as_mut()) else {
             return false;
         };

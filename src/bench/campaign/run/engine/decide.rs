@@ -214,12 +214,11 @@ impl Engine {
     fn failed(&mut self, job: &Job, reason: String, attempts: &mut Attempts) -> Next {
         self.note_attempt(job, &reason, attempts);
         attempts.has_failed = true;
-        let configuration = attempts.configuration;
         if attempts.of_configuration <= job.plan.policy.retries {
             attempts.of_configuration += 1;
             return Next::Again;
         }
-        if let Some(configuration) = configuration {
+        if let Some(configuration) = attempts.configuration {
             self.control.diary.note(Note::Skip(job.run, configuration, reason.clone()));
             let data = json!({ "configuration": configuration, "reason": reason });
             self.control.say("skipped", data);

@@ -320,9 +320,19 @@ async fn switched_off(bench: &Bench, was_homed: &[bool; AXES]) -> Result<Option<
 mod tests {
     use std::sync::atomic::Ordering;
 
-    use super::super::tests::{engine, job, suspensions, trip, with_handle};
+    use super::super::tests::{engine, job, suspensions, trip, waiting_for, with_handle};
     use super::*;
     use crate::campaign::shown::command::Request;
+
+    /// An automatic resume whose next attempt is due.
+    fn due<'a>(
+        job: &Job,
+        resumes: &'a mut u32,
+        waits_for: Option<String>,
+    ) -> Option<Automatic<'a>> {
+        let resume = Automatic::new(job, resumes, waits_for);
+        Some(Automatic { at: Instant::now(), ..resume })
+    }
 
     /// One attempt of an automatic resume while a device has been silent for this time, and a person holds the operator
     /// lock or not: whether further ones follow, and what the run waits for.
@@ -330,20 +340,18 @@ mod tests {
         let (job, (axes, mut engine)) = (job(), engine());
         trip(&mut engine, &job);
         axes.x.replies.store(false, Ordering::SeqCst);
-        let since = jiff::Timestamp::now() + Duration::from_secs(1);
-        *axes.journal.locked_at.lock() = is_locked.then_some(since);
+        if is_locked {
+            axes.journal.lock(1);
+        }
         let mut resumes = 1;
-        let mut resume = Automatic::new(&job, &mut resumes, Some("no reply".into()));
-        let now = Instant::now();
-        (resume.at, resume.silent_since) = (now, silent_since.map(|time| now - time));
-        let mut automatic = Some(resume);
+        let mut automatic = due(&job, &mut resumes, Some("no reply".into()));
+        automatic.as_mut().unwrap().silent_since = silent_since.map(|time| Instant::now() - time);
         assert!(engine.resume_automatically(&job, &mut automatic, 0).await.is_none());
         assert_eq!(engine.control.rig(), RigState::Tripped);
         assert_eq!(axes.z.starts.load(Ordering::SeqCst), 0);
         let known = automatic.as_ref().is_none_or(|resume| resume.silent_since.is_some());
         assert!(known, "the time of the silence is kept");
-        let status = engine.control.inbox.status.borrow();
-        (automatic.is_some(), status.run.as_ref().and_then(|run| run.waiting_for.clone()))
+        (automatic.is_some(), waiting_for(&engine))
     }
 
     #[tokio::test]
@@ -366,10 +374,9 @@ mod tests {
         let (job, (axes, mut engine)) = (job(), engine());
         trip(&mut engine, &job);
         let mut resumes = 1;
-        let mut automatic = Some(Automatic::new(&job, &mut resumes, None));
+        let mut automatic = due(&job, &mut resumes, None);
         // The first one loses a wire while it homes.
         axes.x.starts_fail.store(true, Ordering::SeqCst);
-        automatic.as_mut().unwrap().at = Instant::now();
         assert!(engine.resume_automatically(&job, &mut automatic, 0).await.is_none());
         let starts = axes.z.starts.load(Ordering::SeqCst);
         assert!(starts > 0 && automatic.is_some() && engine.control.rig() == RigState::Tripped);
@@ -379,7 +386,7 @@ mod tests {
         automatic.as_mut().unwrap().at = Instant::now();
         assert!(engine.resume_automatically(&job, &mut automatic, 0).await.is_none());
         assert!(automatic.is_none() && axes.z.starts.load(Ordering::SeqCst) == starts);
-        let words = engine.control.inbox.status.borrow().run.as_ref().unwrap().waiting_for.clone();
+        let words = waiting_for(&engine);
         assert!(words.is_some_and(|words| words.contains("z is not homed any more")));
     }
 
@@ -388,7 +395,7 @@ mod tests {
         let (job, (axes, mut engine)) = (job(), engine());
         trip(&mut engine, &job);
         let mut resumes = 1;
-        let mut automatic = Some(Automatic::new(&job, &mut resumes, None));
+        let mut automatic = due(&job, &mut resumes, None);
         for owed in [Owed::Wires(Instant::now(), Height::Clear), Owed::Nothing] {
             engine.owed = owed;
             automatic.as_mut().unwrap().at = Instant::now();
@@ -403,8 +410,7 @@ mod tests {
         let (job, (_, mut engine, handle)) = (job(), with_handle());
         trip(&mut engine, &job);
         let mut resumes = 1;
-        let mut automatic = Some(Automatic::new(&job, &mut resumes, None));
-        automatic.as_mut().unwrap().at = Instant::now();
+        let mut automatic = due(&job, &mut resumes, None);
         let mut status = handle.watch_status();
         // While the pace of the wires is measured.
         let operates = async {
@@ -416,8 +422,7 @@ mod tests {
         assert!(resumed.is_none() && automatic.is_none() && operated.is_err());
         let states = (engine.control.rig(), engine.control.run());
         assert_eq!(states, (RigState::Homed, RunState::Paused(PausedWhy::Trip)));
-        let words = engine.control.inbox.status.borrow().run.as_ref().unwrap().waiting_for.clone();
-        assert_eq!(words.as_deref(), Some(BY_HAND));
+        assert_eq!(waiting_for(&engine).as_deref(), Some(BY_HAND));
     }
 
     #[tokio::test]
@@ -425,13 +430,12 @@ mod tests {
         let (job, (axes, mut engine, handle)) = (job(), with_handle());
         trip(&mut engine, &job);
         let mut resumes = 1;
-        let mut automatic = Some(Automatic::new(&job, &mut resumes, None));
-        automatic.as_mut().unwrap().at = Instant::now();
+        let mut automatic = due(&job, &mut resumes, None);
         let mut status = handle.watch_status();
         // While the pace of the wires is measured.
         let locks = async {
             drop(status.wait_for(|status| status.rig.state == RigState::Homed).await.unwrap());
-            *axes.journal.locked_at.lock() = Some(jiff::Timestamp::now());
+            axes.journal.lock(0);
         };
         let resumed = engine.resume_automatically(&job, &mut automatic, 0);
         let (resumed, ()) = tokio::join!(resumed, locks);
@@ -448,17 +452,15 @@ mod tests {
         let (job, (axes, mut engine)) = (job(), engine());
         trip(&mut engine, &job);
         let mut resumes = 1;
-        let mut automatic = Some(Automatic::new(&job, &mut resumes, None));
-        automatic.as_mut().unwrap().at = Instant::now();
+        let mut automatic = due(&job, &mut resumes, None);
         *axes.cells.takes.lock() = Duration::from_millis(50);
-        let locks = async { *axes.journal.locked_at.lock() = Some(jiff::Timestamp::now()) };
+        let locks = async { axes.journal.lock(0) };
         // In this order: the lock is taken once the cells are awaited.
         let resumed = engine.resume_automatically(&job, &mut automatic, 0);
         let (resumed, ()) = futures::join!(resumed, locks);
         assert!(resumed.is_none() && automatic.is_some(), "it waits for the release");
         assert_eq!(axes.z.starts.load(Ordering::SeqCst), 0);
-        let words = engine.control.inbox.status.borrow().run.as_ref().unwrap().waiting_for.clone();
-        assert!(words.is_some_and(|words| words.contains("operator lock (ada")));
+        assert!(waiting_for(&engine).is_some_and(|words| words.contains("operator lock (ada")));
     }
 
     #[tokio::test]
@@ -467,14 +469,12 @@ mod tests {
         let suspended_s = suspensions(&mut engine);
         trip(&mut engine, &job);
         let mut resumes = 1;
-        let mut automatic = Some(Automatic::new(&job, &mut resumes, Some("no reply".into())));
-        automatic.as_mut().unwrap().at = Instant::now();
+        let mut automatic = due(&job, &mut resumes, Some("no reply".into()));
         suspended_s.store(3600, Ordering::SeqCst);
         assert!(engine.resume_automatically(&job, &mut automatic, 0).await.is_none());
         assert!(automatic.is_none() && engine.control.rig() == RigState::Tripped);
         assert_eq!(axes.z.starts.load(Ordering::SeqCst), 0);
-        let words = engine.control.inbox.status.borrow().run.as_ref().unwrap().waiting_for.clone();
-        assert!(words.is_some_and(|words| words.contains("suspended for 3600 s")));
+        assert!(waiting_for(&engine).is_some_and(|words| words.contains("suspended for 3600 s")));
     }
 
     #[tokio::test]
@@ -484,10 +484,10 @@ mod tests {
         let ahead = jiff::Timestamp::now() + Duration::from_secs(3600);
         let since = (ahead, halted);
         assert_eq!(engine.control.taken_lock(since).await, None);
-        *axes.journal.locked_at.lock() = Some(jiff::Timestamp::now());
+        axes.journal.lock(0);
         let taken = engine.control.taken_lock(since).await;
         assert!(taken.is_some(), "taken a minute after the halt");
-        *axes.journal.locked_at.lock() = Some(jiff::Timestamp::now() - Duration::from_secs(120));
+        axes.journal.lock(-120);
         let taken = engine.control.taken_lock(since).await;
         assert_eq!(taken, None, "taken a minute before the halt");
     }

@@ -10,8 +10,8 @@ use tracing::Instrument;
 
 use super::skin::EmptySkin;
 use super::{
-    Answer, Attempts, Engine, IDLE_TICK, Last, NOT_COMPLETE, Next, Owed, no_stage, no_wires,
-    trip_of,
+    Answer, Attempts, Connection, Engine, IDLE_TICK, Last, NOT_COMPLETE, Next, Owed, no_stage,
+    no_wires, trip_of,
 };
 use crate::campaign::bench::evidence::SilentArms;
 use crate::campaign::bench::interlock::{self, ForceLimits, TripKind};
@@ -144,8 +144,8 @@ impl Engine {
         });
     }
 
-    fn show_stopping(&mut self) {
-        let Some(stage) = self.connection.as_ref().and_then(|c| c.stage.as_ref()) else { return };
+    fn show_stopping(&self) {
+        let Some(stage) = self.stage() else { return };
         let tips = stage.tips.max(1);
         let slowest = stage.bench.z.slowest();
         if let Ok(distance) = stage.stopping.distance(&stage.config, tips, slowest) {
@@ -311,15 +311,10 @@ impl Engine {
             }
             return Ok(0);
         }
-        let Some(connection) = self.connection.as_mut() else {
-            return Err(Halt::trip(TripKind::Wire, "no wires are open"));
-        };
         if let Step::Manual(placement) = step {
             return self.take_placement(job, placement, progress, attempts).await;
         }
-        let Some(stage) = connection.stage.as_mut() else {
-            return Err(Halt::trip(TripKind::Device, "the rig has no stage"));
-        };
+        let stage = open_stage(&mut self.connection)?;
         let control = &mut self.control;
         let pressing =
             Pressing { run: job.run, plan: &job.plan, attempt: attempts.of_configuration };
@@ -380,9 +375,7 @@ impl Engine {
         progress: &mut Progress,
         attempts: &Attempts,
     ) -> Result<u32, Halt> {
-        let Some(connection) = self.connection.as_ref() else {
-            return Err(Halt::trip(TripKind::Wire, "no wires are open"));
-        };
+        let connection = self.connection.as_ref().ok_or_else(wires_closed)?;
         let key = TrialKey { configuration: placement.index, depth_index: 0 };
         self.control.show_run(|run| run.trial = Some(key));
         let confirmed = attempts.confirmed.clone().filter(|(index, _)| *index == placement.index);
@@ -407,12 +400,7 @@ impl Engine {
     /// contradict. An entry from before a restart holds for a resumed run if the cells still show
     /// the same.
     async fn require_tips(&mut self, tips: u8, progress: &Progress) -> Result<(), Halt> {
-        let Some(connection) = self.connection.as_mut() else {
-            return Err(Halt::trip(TripKind::Wire, "no wires are open"));
-        };
-        let Some(stage) = connection.stage.as_mut() else {
-            return Err(Halt::trip(TripKind::Device, "the rig has no stage"));
-        };
+        let stage = open_stage(&mut self.connection)?;
         let volts = self.control.attending(stage.bench.cells.read()).await??.volts;
         let live = interlock::live_cells(&stage.config.cells, &volts, tips);
         let goes_on = !progress.stored.is_empty();
@@ -443,6 +431,15 @@ impl Engine {
         }
         Ok(())
     }
+}
+
+fn wires_closed() -> Halt {
+    Halt::trip(TripKind::Wire, "no wires are open")
+}
+
+fn open_stage(connection: &mut Option<Connection>) -> Result<&mut Stage, Halt> {
+    let stage = connection.as_mut().ok_or_else(wires_closed)?.stage.as_mut();
+    stage.ok_or_else(|| Halt::trip(TripKind::Device, "the rig has no stage"))
 }
 
 fn done_words(progress: &Progress) -> String {

@@ -16,6 +16,7 @@ use super::{batch, mat, npz};
 use crate::dataset::error::{DatasetError, DatasetResult};
 use crate::dataset::import::columns::{CONTACT_FIELDS, FRAMES_V, SCALARS, Scalar, scalar};
 use crate::dataset::import::extent::Extent;
+use crate::dataset::import::whole;
 use crate::dataset::schema::VOLTAGES_V;
 use crate::problem::Problem;
 use crate::simulate::schema::{CONTACTS, SIM_VOLTAGES_V};
@@ -246,7 +247,7 @@ fn unreadable(file: &str, container: Container, error: &io::Error) -> DatasetErr
         Container::Npz => "must be an NPZ file of arrays without pickle, as numpy.savez writes it",
         Container::Mat => "must be a MAT file of version 5 to 7",
     };
-    DatasetError::Problems(vec![Problem::whole(file, format!("{words}: {error}"))])
+    whole(file, format!("{words}: {error}"))
 }
 
 /// Pages of rows.

@@ -12,6 +12,7 @@ use arrow_buffer::{NullBuffer, OffsetBuffer};
 use arrow_schema::{ArrowError, DataType, Field, Fields};
 use jiff::Timestamp;
 
+use crate::dataset::import::columns::CONTACT_FIELDS;
 use crate::store::Contact;
 
 /// Frames of `channels` voltages, V, one after the other; NaN for a missing channel. With `may_lack` a frame
@@ -55,7 +56,7 @@ pub(super) fn raw_frames(
 /// Contacts of each trial.
 pub(super) fn contacts(trials: &[Vec<Contact>]) -> Result<ArrayRef, ArrowError> {
     let field = |name| Field::new(name, DataType::Float64, true);
-    let fields: Fields = ["x_mm", "y_mm", "force_n", "diameter_mm"].map(field).to_vec().into();
+    let fields: Fields = CONTACT_FIELDS.map(field).to_vec().into();
     let column = |of: fn(&Contact) -> Option<f64>| -> ArrayRef {
         Arc::new(trials.iter().flatten().map(of).collect::<Float64Array>())
     };

@@ -16,9 +16,9 @@ use csv::{ByteRecord, ReaderBuilder};
 use super::batch;
 use super::line_limit::{Allowance, LINE_MAX_BYTES, LineLimit};
 use crate::dataset::error::{DatasetError, DatasetResult};
-use crate::dataset::import::BATCH_TRIALS;
 use crate::dataset::import::columns::{FRAMES_V, Scalar, scalar};
 use crate::dataset::import::extent::Extent;
+use crate::dataset::import::{BATCH_TRIALS, whole};
 use crate::dataset::schema::VOLTAGES_V;
 use crate::problem::Problem;
 use crate::simulate::schema::{CONTACTS, SIM_VOLTAGES_V};
@@ -27,6 +27,8 @@ use crate::syntax::PROBLEMS_MAX;
 
 /// Separators of cells.
 const SEPARATORS: [u8; 3] = *b",;\t";
+/// Columns of frames, and how the names of their cells begin.
+const FRAMES: [(&str, &str); 2] = [(VOLTAGES_V, "v"), (SIM_VOLTAGES_V, "sim_voltages_v_")];
 /// Fields of a contact: the stem of the name and its unit.
 const CONTACT_STEMS: [(&str, &str); 4] =
     [("x", "_mm"), ("y", "_mm"), ("force", "_n"), ("diameter", "_mm")];
@@ -145,10 +147,10 @@ impl Layout {
         for (frame, channels) in channels.into_iter().enumerate() {
             let absent = (0..channels.len()).find(|channel| !channels.contains_key(channel));
             if let (Some(channel), Some((last, _))) = (absent, channels.last_key_value()) {
-                let name = if frame == 0 { "v" } else { "sim_voltages_v_" };
+                let key = format!("{}{channel}", FRAMES[frame].1);
                 let limit =
                     format!("must be present: channels count from 0, and the last is {last}");
-                problems.push(Problem::new(file, &format!("{name}{channel}"), "absent", limit));
+                problems.push(Problem::new(file, &key, "absent", limit));
             }
             layout.frames[frame] = channels.into_values().collect();
         }
@@ -220,14 +222,15 @@ impl Csv {
 
     fn broken(&self, error: &csv::Error) -> DatasetError {
         let limit = format!("must be CSV, each line with as many cells as the first: {error}");
-        DatasetError::Problems(vec![Problem::whole(&self.file, limit)])
+        whole(&self.file, limit)
     }
 
     /// Names of the columns that are read, and of those that are ignored.
     pub fn schema(&self) -> Schema {
         let mut names: Vec<&str> = Vec::new();
-        names.extend((!self.layout.frames[0].is_empty()).then_some(VOLTAGES_V));
-        names.extend((!self.layout.frames[1].is_empty()).then_some(SIM_VOLTAGES_V));
+        for ((name, _), cells) in FRAMES.into_iter().zip(&self.layout.frames) {
+            names.extend((!cells.is_empty()).then_some(name));
+        }
         names.extend(self.layout.has_contacts().then_some(CONTACTS));
         names.extend(self.layout.scalars.iter().map(|(name, ..)| *name));
         names.extend(self.layout.left_out.iter().map(String::as_str));
@@ -237,11 +240,10 @@ impl Csv {
 
     /// Numbers of rows and values.
     pub fn extent(&self) -> Extent {
-        let frames = |cells: &Vec<usize>| self.rows.saturating_mul(cells.len() as u64);
         let mut values = BTreeMap::new();
-        for (name, cells) in [VOLTAGES_V, SIM_VOLTAGES_V].into_iter().zip(&self.layout.frames) {
+        for ((name, _), cells) in FRAMES.into_iter().zip(&self.layout.frames) {
             if !cells.is_empty() {
-                values.insert(name.to_owned(), frames(cells));
+                values.insert(name.to_owned(), self.rows.saturating_mul(cells.len() as u64));
             }
         }
         values.insert(CONTACTS.to_owned(), self.contacts);
@@ -331,7 +333,7 @@ impl Page {
             })
         };
         for (frame, cells) in layout.frames.iter().enumerate() {
-            let name = ["v", "sim_voltages_v_"][frame];
+            let name = FRAMES[frame].1;
             for (channel, at) in cells.iter().enumerate() {
                 let value = number(&|| format!("{name}{channel}"), *at);
                 self.frames[frame].push(value.map_or(f32::NAN, |value| value as f32));
@@ -396,10 +398,8 @@ impl Page {
 
     fn finish(mut self, layout: &Layout) -> DatasetResult<RecordBatch> {
         let mut columns: Vec<(&str, ArrayRef)> = Vec::new();
-        for (name, (values, cells)) in [VOLTAGES_V, SIM_VOLTAGES_V]
-            .into_iter()
-            .zip(self.frames.into_iter().zip(&layout.frames))
-        {
+        let frames = self.frames.into_iter().zip(&layout.frames);
+        for ((name, _), (values, cells)) in FRAMES.into_iter().zip(frames) {
             if !cells.is_empty() {
                 let may_lack = name == SIM_VOLTAGES_V;
                 columns.push((name, batch::frames(values, cells.len(), may_lack)?));

@@ -8,6 +8,8 @@ use std::io::{self, Read};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
+use super::invalid;
+
 /// Largest length of a line, bytes: 65 536 voltages of 25 characters, twice, fit.
 pub(super) const LINE_MAX_BYTES: u64 = 16 << 20;
 
@@ -41,15 +43,12 @@ impl<R: Read> Read for LineLimit<R> {
     fn read(&mut self, into: &mut [u8]) -> io::Result<usize> {
         let read = self.inner.read(into)?;
         let left = self.left.0.load(Ordering::Relaxed);
-        match left.checked_sub(read as u64) {
-            Some(left) => self.left.0.store(left, Ordering::Relaxed),
-            None => {
-                let words = format!(
-                    "a line is longer than {LINE_MAX_BYTES} bytes; is a quotation mark without its pair?"
-                );
-                return Err(io::Error::new(io::ErrorKind::InvalidData, words));
-            }
-        }
+        let left = left.checked_sub(read as u64).ok_or_else(|| {
+            invalid(format!(
+                "a line is longer than {LINE_MAX_BYTES} bytes; is a quotation mark without its pair?"
+            ))
+        })?;
+        self.left.0.store(left, Ordering::Relaxed);
         Ok(read)
     }
 }

@@ -10,7 +10,7 @@ use zip::{CompressionMethod, ZipWriter};
 use super::csv::Csv;
 use crate::dataset::error::{DatasetError, DatasetResult};
 use crate::dataset::import::coordinates::Coordinates;
-use crate::dataset::import::rows::{Reader, ignored};
+use crate::dataset::import::rows::{Reader, columns};
 use crate::dataset::import::sensor::ImportedSensor;
 use crate::dataset::import::source::Source;
 use crate::store::{Contact, ImportedTrial};
@@ -27,7 +27,7 @@ fn read(name: &str, bytes: &[u8]) -> DatasetResult<(Vec<ImportedTrial>, Vec<Stri
     let mut reader = Reader::new(name, &sensor, Coordinates::default());
     reader.check(source.schema()).map_err(DatasetError::Problems)?;
     source.extent().needed(name, &sensor).map_err(DatasetError::Problems)?;
-    let left_out = ignored(source.schema());
+    let (_, left_out) = columns(source.schema());
     let mut trials = Vec::new();
     let rows = source.extent().rows();
     for batch in source.batches()? {
@@ -319,7 +319,7 @@ fn arrays_of_other_shapes_or_sizes_are_refused_by_name() {
 
 // ---------------------------------------------------------------- MAT
 
-/// Bytes of an element, padded; `swap`: the other order of bytes for words of this width.
+/// Bytes of an element, padded.
 fn element(kind: u32, data: &[u8]) -> Vec<u8> {
     let mut out = [kind.to_le_bytes(), (data.len() as u32).to_le_bytes()].concat();
     out.extend_from_slice(data);
@@ -355,8 +355,7 @@ fn matrices_are_read_by_columns_compressed_or_not() {
     // MATLAB stores whole numbers in the narrowest type: here x is 10 and 50, y 20 and 60.
     let xy = matrix("contacts_xy_mm", 6, &[2, 1, 2], element(2, &[10, 50, 20, 60]));
     // A short element: the data are part of the tag.
-    let mut short = vec![2, 0, 2, 0, 3, 4, 0, 0];
-    let depth = matrix("depth_index", 12, &[1, 2], std::mem::take(&mut short));
+    let depth = matrix("depth_index", 12, &[1, 2], vec![2, 0, 2, 0, 3, 4, 0, 0]);
     let text = matrix("comment", 4, &[1, 2], element(16, b"hi"));
     let tag = matrix("tag", 4, &[2, 2], element(16, b"acbd"));
     let file = mat(&[compressed(&volts), text, xy, compressed(&depth), tag]);

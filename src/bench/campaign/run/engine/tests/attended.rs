@@ -4,11 +4,9 @@
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 
-use jiff::Timestamp;
-
 use super::super::recovery::BY_HAND;
 use super::super::{Attempts, Next};
-use super::{begin, job, signs, trip, with_handle};
+use super::{asked_while_moving, begin, job, signs, trip, waiting_for, with_handle};
 use crate::campaign::bench::interlock::TripKind;
 use crate::campaign::bench::rig_state::RigState;
 use crate::campaign::run::halt::Halt;
@@ -37,8 +35,7 @@ async fn nothing_homes_by_itself_after_a_request_to_the_rig_while_the_devices_we
     assert!(matches!(next, Next::Leave) && asked.is_err(), "{asked:?}");
     let starts = [&axes.x, &axes.z].map(|axis| axis.starts.load(Ordering::SeqCst));
     assert_eq!((starts, engine.control.rig()), ([0, 0], RigState::Disarmed));
-    let words = engine.control.inbox.status.borrow().run.as_ref().unwrap().waiting_for.clone();
-    assert_eq!(words.as_deref(), Some(BY_HAND));
+    assert_eq!(waiting_for(&engine).as_deref(), Some(BY_HAND));
 }
 
 #[tokio::test]
@@ -52,11 +49,9 @@ async fn a_homing_for_an_automatic_resume_ends_once_a_person_takes_the_lock_or_o
         *axes.x.after_start.lock() = Some(homes);
         let (x, journal) = (axes.x.clone(), axes.journal.clone());
         let comes = async move {
-            while x.starts.load(Ordering::SeqCst) == 0 {
-                tokio::time::sleep(Duration::from_millis(5)).await;
-            }
+            x.started().await;
             if is_locked {
-                *journal.locked_at.lock() = Some(Timestamp::now());
+                journal.lock(0);
             } else {
                 handle.ask(Request::Tare).await.unwrap_err();
             }
@@ -90,11 +85,7 @@ async fn a_run_does_not_resume_by_itself_if_a_person_requested_a_motion_shortly_
         let (job, (_, mut engine, handle)) = (job(), with_handle());
         begin(&mut engine, &job);
         if is_operated {
-            let moves = async {
-                tokio::task::yield_now().await;
-                engine.control.attend()
-            };
-            let (refused, moved) = tokio::join!(handle.ask(Request::Home), moves);
+            let (refused, moved) = asked_while_moving(&mut engine, &handle, Request::Home).await;
             assert!(refused.is_err() && moved.is_ok(), "{refused:?}");
         }
         // Without a handle there is no request to wait for.
@@ -104,9 +95,8 @@ async fn a_run_does_not_resume_by_itself_if_a_person_requested_a_motion_shortly_
         let next = engine.decide(&job, halt, &mut attempts, &mut resumes).await;
         assert!(matches!(next, Next::Leave));
         assert_eq!(resumes, u32::from(!is_operated));
-        let run = engine.control.inbox.status.borrow().run.clone().expect("a run");
         let words = if is_operated { BY_HAND } else { "no reply" };
-        assert_eq!(run.waiting_for.as_deref(), Some(words));
+        assert_eq!(waiting_for(&engine).as_deref(), Some(words));
         engine.control.run_event(RunEvent::Resume).unwrap();
         assert!(!engine.control.take_operated(), "a person has resumed it");
     }
@@ -118,11 +108,7 @@ async fn no_waiting_run_begins_after_a_run_of_which_a_pause_was_requested_as_it_
         let (job, (_, mut engine, handle)) = (job(), with_handle());
         begin(&mut engine, &job);
         engine.control.run_event(RunEvent::Stop).unwrap();
-        let moves = async {
-            tokio::task::yield_now().await;
-            engine.control.attend()
-        };
-        let (refused, moved) = tokio::join!(handle.ask(request), moves);
+        let (refused, moved) = asked_while_moving(&mut engine, &handle, request).await;
         assert!(refused.is_err() && moved.is_ok(), "{refused:?}");
         assert_eq!((engine.control.run(), signs(&engine)), (RunState::Stopping, 1));
     }
@@ -134,7 +120,7 @@ async fn a_run_states_why_the_rig_could_not_be_armed_for_its_automatic_resume() 
     job.plan.policy.auto_resume_after_s = 0.0;
     trip(&mut engine, &job);
     // The wires were so slow that no press keeps the margin.
-    engine.connection.as_mut().unwrap().stage.as_mut().unwrap().stopping.note_poll(1e6);
+    engine.stage_mut().unwrap().stopping.note_poll(1e6);
     let mut status = handle.watch_status();
     let states = async move {
         // Without a handle there is no request to wait for.

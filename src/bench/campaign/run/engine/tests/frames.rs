@@ -9,7 +9,7 @@ use async_trait::async_trait;
 use tokio::sync::broadcast;
 use tokio::time::Instant;
 
-use super::{begin, engine, job, parts, surface, suspensions, with_handle};
+use super::{begin, engine, job, parts, surface, suspensions, tripped, with_handle};
 use crate::campaign::bench::interlock::TripKind;
 use crate::campaign::run::control::Control;
 use crate::campaign::run::halt::Halt;
@@ -97,8 +97,7 @@ async fn nothing_is_stored_of_a_reference_press_under_which_the_computer_was_sus
     });
     let pressing = Pressing { run: job.run, plan: &job.plan, attempt: 1 };
     let pressed = pressing.reference(stage, control, press.expect("a reference")).await;
-    let halt = pressed.unwrap_err();
-    assert_eq!(halt.as_trip().map(|trip| trip.kind), Some(TripKind::Service), "{halt:?}");
+    tripped(pressed, TripKind::Service);
     engine.control.flush().await.unwrap();
     let events = axes.journal.events.lock().clone();
     assert!(!events.iter().any(|kind| kind == "reference"), "{events:?}");

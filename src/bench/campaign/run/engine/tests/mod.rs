@@ -1,11 +1,11 @@
 //! The engine on a bench of stand-ins: what resets, arms and moves, and what does not.
 
 use std::collections::BTreeMap;
+use std::fmt::Debug;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
-use sim_core::sensor::Sensor;
 use tokio::sync::oneshot;
 use tokio::time::Instant;
 
@@ -29,9 +29,8 @@ use crate::ids::{RunUid, TrialKey};
 use crate::journal::{ExitStatus, Journal};
 use crate::record::TouchOffRecord;
 use crate::rig::setup::RigSetup;
-use crate::rig::traits::AxisStatus;
-use crate::schedule::experiment::Experiment;
-use crate::schedule::plan::{Kind, Plan};
+use crate::schedule::plan::Kind;
+use crate::schedule::tests::{hex, planned};
 use crate::suspension::Suspensions;
 
 mod attended;
@@ -72,15 +71,10 @@ fn on(axes: &StandIns) -> (Engine, Handle) {
 
 /// A run of one tip.
 pub(super) fn job() -> Job {
-    let text = "name = 'stand-in'\nseed = 3\nsensor = 's'\n[real_hex]\ntips = [1]\n\
-                configurations = 2\ndepths = 2\n";
-    let experiment = Experiment::from_toml("t.toml", text).expect("sound");
-    let sensor = include_str!("../../../../../../experiments/sensors/ert-28.toml");
-    let sensor = Sensor::from_toml(sensor).expect("sound");
     Job {
         run: RunUid::new(),
         scan_id: 1,
-        plan: Plan::of("t.toml", &experiment, &sensor).expect("sound"),
+        plan: planned(&hex(3, "tips = [1]\nconfigurations = 2\ndepths = 2\n")),
         predicted_trial_s: 1.0,
         auto_resume: true,
         bytes_per_trial: 4000,
@@ -132,6 +126,24 @@ fn signs(engine: &Engine) -> u64 {
     engine.control.inbox.status.borrow().attended.signs
 }
 
+/// The trip that is latched.
+fn latched(engine: &Engine) -> Option<Trip> {
+    engine.control.inbox.status.borrow().rig.trip.clone()
+}
+
+/// What the run waits for, as text.
+pub(super) fn waiting_for(engine: &Engine) -> Option<String> {
+    engine.control.inbox.status.borrow().run.as_ref().expect("a run").waiting_for.clone()
+}
+
+/// The message of the trip of this kind that has ended a motion.
+fn tripped<T: Debug>(ended: Result<T, Halt>, kind: TripKind) -> String {
+    match ended {
+        Err(Halt::Trip(trip)) if trip.kind == kind => trip.detail,
+        _ => panic!("no trip {kind:?}: {ended:?}"),
+    }
+}
+
 /// The answer of a request whose caller was told that it failed.
 fn abandoned() -> Answer {
     oneshot::channel().0
@@ -145,6 +157,19 @@ async fn stop(engine: &mut Engine) {
     while known().is_none() {
         tokio::time::sleep(Duration::from_millis(1)).await;
     }
+}
+
+/// The answer to a request that arrives while something moves, and whether the motion goes on.
+async fn asked_while_moving(
+    engine: &mut Engine,
+    handle: &Handle,
+    request: Request,
+) -> (Result<(), Refusal>, Result<(), Halt>) {
+    let moves = async {
+        tokio::task::yield_now().await;
+        engine.control.attend()
+    };
+    tokio::join!(handle.ask(request), moves)
 }
 
 #[tokio::test]
@@ -169,21 +194,17 @@ async fn a_start_and_a_resume_whose_caller_was_told_that_they_failed_are_not_car
 #[tokio::test]
 async fn no_run_begins_or_resumes_under_a_lock_that_was_taken_while_it_was_armed() {
     let (axes, job) = (StandIns::default(), Arc::new(job()));
-    let lock = |taken_s: i64| {
-        let at = jiff::Timestamp::now() + jiff::SignedDuration::from_secs(taken_s);
-        *axes.journal.locked_at.lock() = Some(at);
-    };
     let is_held = |answer: Result<(), Refusal>| {
         let Err(Refusal::Busy(words)) = answer else { return false };
         words.starts_with("nothing moves before the release of the operator lock (ada")
     };
     let (mut started, handle) = on(&axes);
     started.control.rig_event(RigEvent::Homed).unwrap();
-    lock(1);
+    axes.journal.lock(1);
     assert!(is_held(answered(&mut started, handle.ask(Request::Start(job.clone()))).await));
     assert_eq!((started.control.rig(), started.control.run()), (RigState::Homed, RunState::Idle));
     // The caller of a later start knows of it.
-    lock(-1);
+    axes.journal.lock(-1);
     assert_eq!(answered(&mut started, handle.ask(Request::Start(job.clone()))).await, Ok(()));
 
     let (mut paused, _) = on(&axes);
@@ -191,11 +212,11 @@ async fn no_run_begins_or_resumes_under_a_lock_that_was_taken_while_it_was_armed
     paused.control.rig_event(RigEvent::Reset).unwrap();
     paused.control.rig_event(RigEvent::Homed).unwrap();
     let (waited_for, _caller) = oneshot::channel();
-    lock(1);
+    axes.journal.lock(1);
     assert!(is_held(paused.resume(&job, Some(&waited_for)).await));
     let halted = RunState::Paused(PausedWhy::Trip);
     assert_eq!((paused.control.rig(), paused.control.run()), (RigState::Homed, halted));
-    lock(-1);
+    axes.journal.lock(-1);
     assert_eq!(paused.resume(&job, Some(&waited_for)).await, Ok(()));
 }
 
@@ -253,10 +274,8 @@ async fn after_a_suspension_of_the_computer_nothing_moves_before_a_person_resets
     suspended_s.store(60, Ordering::SeqCst);
     let (stage, control) = parts(&mut engine);
     let moved = stage.travel(control, &[Target::of(AxisName::X, 100.0)]).await;
-    let halt = moved.unwrap_err();
-    let trip = halt.as_trip().expect("a trip");
-    assert_eq!(trip.kind, TripKind::Service);
-    assert_eq!(trip.detail, "the computer was suspended for 60 s");
+    let detail = tripped(moved, TripKind::Service);
+    assert_eq!(detail, "the computer was suspended for 60 s");
     assert_eq!(axes.x.starts.load(Ordering::SeqCst), 0);
 
     // A run that was to begin in the night.
@@ -309,7 +328,7 @@ async fn an_e_stop_while_the_wires_are_opened_leaves_them_open_for_the_stops_and
     let words = engine.connect(0).await.unwrap_err().to_string();
     assert!(words.contains("the stop was pressed while the wires were opened"), "{words}");
     assert_eq!(engine.control.rig(), RigState::Tripped);
-    let trip = engine.control.inbox.status.borrow().rig.trip.clone().expect("latched");
+    let trip = latched(&engine).expect("latched");
     assert_eq!((trip.kind, trip.detail.as_str()), (TripKind::Estop, "hands"));
     // Each axis is tried, and none counts as stopped.
     let is_tried = || {
@@ -388,8 +407,7 @@ async fn the_status_counts_the_failed_attempts_that_are_stored() {
 #[tokio::test]
 async fn an_abort_of_a_jog_and_each_trip_for_a_person_hold_the_queue() {
     let (job, (axes, mut engine, handle)) = (job(), with_handle());
-    // It moves until it is stopped.
-    *axes.x.after_start.lock() = Some(AxisStatus { moving: true, ..axes.x.present() });
+    axes.x.keep_moving();
     let (stage, control) = parts(&mut engine);
     let target = [Target::of(AxisName::X, 100.0)];
     let travel = stage.travel(control, &target);
@@ -417,11 +435,7 @@ async fn an_abort_of_a_motion_that_arrives_once_a_run_has_begun_aborts_that_run(
     let job = job();
     let (_, mut engine, handle) = with_handle();
     begin(&mut engine, &job);
-    let moves = async {
-        tokio::task::yield_now().await;
-        engine.control.attend()
-    };
-    let (aborted, moved) = tokio::join!(handle.ask(Request::AbortMotion), moves);
+    let (aborted, moved) = asked_while_moving(&mut engine, &handle, Request::AbortMotion).await;
     assert!(aborted.is_ok() && matches!(moved, Err(Halt::Asked)), "{aborted:?}");
     assert_eq!(engine.control.run(), RunState::Aborting);
 }
@@ -460,11 +474,7 @@ async fn no_run_begins_if_a_pause_or_an_abort_came_after_the_end_of_the_run_befo
     assert!(matches!(started, Err(Refusal::Busy(_))), "{started:?}");
     // One that has begun before it continues; what waits for its end is dropped.
     begin(&mut engine, &job);
-    let moves = async {
-        tokio::task::yield_now().await;
-        engine.control.attend()
-    };
-    let (noted, moved) = tokio::join!(handle.ask(Request::CameLate), moves);
+    let (noted, moved) = asked_while_moving(&mut engine, &handle, Request::CameLate).await;
     assert!(noted.is_ok() && moved.is_ok(), "{moved:?}");
     assert_eq!((engine.control.run(), signs(&engine)), (RunState::Running, 2));
 }

@@ -4,7 +4,7 @@ use std::cell::Cell;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 
-use super::{answered, engine, parts, signs, suspensions, with_handle};
+use super::{answered, engine, latched, parts, signs, suspensions, tripped, with_handle};
 use crate::campaign::bench::interlock::TripKind;
 use crate::campaign::bench::rig_state::RigState;
 use crate::campaign::bench::stage::AxisName;
@@ -28,8 +28,7 @@ async fn a_homing_and_a_jog_are_shown_until_they_end() {
         ends.await.unwrap().rig.motion
     };
     assert_eq!(answered(&mut engine, home).await, None);
-    // It moves until it is stopped.
-    *axes.x.after_start.lock() = Some(AxisStatus { moving: true, ..axes.x.present() });
+    axes.x.keep_moving();
     let jog = async {
         let further = || handle.ask(Request::Jog { axis: "x".into(), to_mm: 100.0 });
         further().await.unwrap();
@@ -42,7 +41,7 @@ async fn a_homing_and_a_jog_are_shown_until_they_end() {
     };
     let words = "jog is not possible within 5 s of an abort".to_owned();
     assert_eq!(answered(&mut engine, jog).await, Err(Refusal::Busy(words)));
-    assert_eq!(engine.control.inbox.status.borrow().rig.trip, None);
+    assert_eq!(latched(&engine), None);
 }
 
 #[tokio::test]
@@ -71,30 +70,27 @@ async fn an_abort_during_a_raise_is_accepted_at_once_and_ends_the_motion_once_z_
     let (aborted, stops) = answered(&mut engine, jog).await.expect("it ends");
     assert_eq!((aborted, stops), (Ok(()), 0), "accepted while z rises, which no stop ends");
     assert_eq!(starts(&axes.x), x_starts);
-    assert_eq!(engine.control.inbox.status.borrow().rig.trip, None);
+    assert_eq!(latched(&engine), None);
 }
 
 #[tokio::test]
 async fn a_raise_that_fails_after_an_abort_is_not_repeated_before_the_safe_end() {
     let (axes, mut engine, handle) = with_handle();
-    let starts = || axes.z.starts.load(Ordering::SeqCst);
     // It moves until it reports an alarm.
     let down = AxisStatus { position: 60.0, ..axes.z.present() };
     *axes.z.status.lock() = down;
     *axes.z.after_start.lock() = Some(AxisStatus { position: 55.0, moving: true, ..down });
     let abort = async {
-        while starts() == 0 {
-            tokio::time::sleep(Duration::from_millis(1)).await;
-        }
+        axes.z.started().await;
         let aborted = handle.ask(Request::AbortMotion).await;
         axes.z.status.lock().alarm = Some(1);
         aborted
     };
-    let stage = engine.connection.as_mut().unwrap().stage.as_mut().unwrap();
-    let raise = raise_as_planned(&mut engine.control, stage);
+    let (stage, control) = parts(&mut engine);
+    let raise = raise_as_planned(control, stage);
     let (aborted, raised) = tokio::join!(abort, raise);
     assert!(aborted.is_ok() && matches!(raised, Err(Halt::Asked)), "{raised:?}");
-    assert_eq!(starts(), 1);
+    assert_eq!(axes.z.starts.load(Ordering::SeqCst), 1);
 }
 
 #[tokio::test]
@@ -109,8 +105,7 @@ async fn a_suspension_of_the_computer_during_a_raise_trips_although_a_request_ca
     };
     let (both, asked) = engine.control.attending_to_the_end(raise, &Cell::default()).await;
     assert_eq!(both, (Ok(()), Ok(())));
-    let halt = asked.unwrap_err();
-    assert_eq!(halt.as_trip().map(|trip| trip.kind), Some(TripKind::Service), "{halt:?}");
+    tripped(asked, TripKind::Service);
 }
 
 #[tokio::test]

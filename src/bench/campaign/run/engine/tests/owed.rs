@@ -60,13 +60,9 @@ async fn nothing_moves_under_a_lock_that_was_taken_while_the_safe_end_was_comple
     // Only the request completes it.
     engine.owed_pause = Duration::from_secs(3600);
     let jog = || Request::Jog { axis: "y".into(), to_mm: 10.0 };
-    let lock = |taken_s: i64| {
-        let at = jiff::Timestamp::now() + jiff::SignedDuration::from_secs(taken_s);
-        *axes.journal.locked_at.lock() = Some(at);
-    };
     for request in [jog(), Request::Home] {
         engine.owed = Owed::Wires(Instant::now(), Height::Clear);
-        lock(60);
+        axes.journal.lock(60);
         let refused = answered(&mut engine, handle.ask(request)).await;
         let Err(Refusal::Busy(words)) = &refused else { panic!("{refused:?}") };
         let expected = "nothing moves before the release of the operator lock (ada";
@@ -76,7 +72,7 @@ async fn nothing_moves_under_a_lock_that_was_taken_while_the_safe_end_was_comple
     assert_eq!(axes.y.starts.load(Ordering::SeqCst), 0);
     // The caller of a later request knows of it.
     engine.owed = Owed::Wires(Instant::now(), Height::Clear);
-    lock(-60);
+    axes.journal.lock(-60);
     assert_eq!(answered(&mut engine, handle.ask(jog())).await, Ok(()));
 }
 
@@ -84,12 +80,12 @@ async fn nothing_moves_under_a_lock_that_was_taken_while_the_safe_end_was_comple
 async fn nothing_moves_under_a_lock_that_was_taken_while_the_request_waited() {
     let (axes, mut engine, handle) = with_handle();
     engine.control.rig_event(RigEvent::Homed).unwrap();
-    let earlier = |s: i64| jiff::Timestamp::now() - jiff::SignedDuration::from_secs(s);
-    *axes.journal.locked_at.lock() = Some(earlier(1));
+    axes.journal.lock(-1);
     let jog = || Request::Jog { axis: "y".into(), to_mm: 10.0 };
     for request in [jog(), Request::Home] {
         // A safe end was completed meanwhile.
-        let decided_at = (earlier(3), Instant::now() - Duration::from_secs(3));
+        let before = Duration::from_secs(3);
+        let decided_at = (jiff::Timestamp::now() - before, Instant::now() - before);
         let asked = handle.ask_since(request, signs(&engine), decided_at);
         let refused = answered(&mut engine, asked).await;
         let Err(Refusal::Busy(words)) = &refused else { panic!("{refused:?}") };

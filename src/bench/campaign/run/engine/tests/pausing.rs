@@ -6,7 +6,10 @@ use std::time::Duration;
 use jiff::Timestamp;
 
 use super::super::{Attempts, Next};
-use super::{begin, engine, job, parts, surface, trip, with_handle};
+use super::pressing::places;
+use super::{
+    asked_while_moving, begin, engine, job, parts, surface, trip, waiting_for, with_handle,
+};
 use crate::campaign::bench::touch_off::touch_off;
 use crate::campaign::run::eta::Pace;
 use crate::campaign::run::halt::Halt;
@@ -100,9 +103,8 @@ async fn suspended_while_it_waits(why: &str) -> (Option<String>, RunState) {
     let mut attempts = Attempts::default();
     let (suspended, next) = tokio::join!(suspend, engine.wait(&job, &mut attempts, None));
     assert!(suspended.is_ok() && matches!(next, Next::Leave), "{suspended:?}");
-    let run = engine.control.inbox.status.borrow().run.clone().unwrap();
     assert_eq!(engine.control.take_suspended_for(), None, "it is stated once");
-    (run.waiting_for, engine.control.run())
+    (waiting_for(&engine), engine.control.run())
 }
 
 #[tokio::test]
@@ -167,11 +169,7 @@ async fn a_suspension_of_a_run_that_has_ended_does_not_halt_the_next_one() {
     let (job, (_, mut engine, handle)) = (job(), with_handle());
     begin(&mut engine, &job);
     let late = Request::Suspend(RunUid::new(), "the model does not fit the skin".into());
-    let moves = async {
-        tokio::task::yield_now().await;
-        engine.control.attend()
-    };
-    let (suspended, moved) = tokio::join!(handle.ask(late), moves);
+    let (suspended, moved) = asked_while_moving(&mut engine, &handle, late).await;
     let words = "suspend is not possible: run 1 is active";
     assert_eq!(suspended, Err(Refusal::State(words.into())));
     assert!(moved.is_ok(), "{moved:?}");
@@ -186,12 +184,7 @@ async fn a_pause_that_is_requested_in_a_touch_off_waits_for_no_further_place() {
     engine.control.run_event(RunEvent::PauseAtCheckpoint).unwrap();
     let (stage, control) = parts(&mut engine);
     stage.tips = 1;
-    let places = job.plan.steps.iter().find_map(|step| match step {
-        Step::TouchOff { places, .. } => Some(places),
-        _ => None,
-    });
-    let places = places.expect("a touch-off");
-    let found = touch_off(stage, control, places, 1, Timestamp::UNIX_EPOCH).await;
+    let found = touch_off(stage, control, places(&job), 1, Timestamp::UNIX_EPOCH).await;
     assert!(matches!(found, Err(Halt::Checkpoint)), "{found:?}");
     assert_eq!(axes.z.present().position, 0.0);
 }

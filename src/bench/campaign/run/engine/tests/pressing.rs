@@ -7,7 +7,7 @@ use parking_lot::Mutex;
 use tokio::sync::oneshot;
 
 use super::super::Engine;
-use super::{begin, engine, job, parts, surface, with_handle};
+use super::{begin, engine, job, parts, surface, tripped, with_handle};
 use crate::campaign::bench::descent::Descent;
 use crate::campaign::bench::interlock::TripKind;
 use crate::campaign::bench::rig_state::RigEvent;
@@ -40,13 +40,13 @@ fn patient(engine: &mut Engine) -> (&mut Stage, &mut Control) {
     (stage, control)
 }
 
-/// The first place of the touch-off.
-fn first_place(job: &Job) -> Stand {
-    let place = job.plan.steps.iter().find_map(|step| match step {
-        Step::TouchOff { places, .. } => places.first().cloned(),
+/// The places of the touch-off.
+pub(super) fn places(job: &Job) -> &[Stand] {
+    let places = job.plan.steps.iter().find_map(|step| match step {
+        Step::TouchOff { places, .. } => Some(places),
         _ => None,
     });
-    place.expect("a touch-off")
+    places.expect("a touch-off")
 }
 
 /// What z reports once its next motion was started: it moves until it is stopped.
@@ -173,9 +173,8 @@ async fn a_press_whose_samples_are_late_at_the_slowest_motion_of_the_drive_trips
         }
     };
     let (pressed, all) = tokio::join!(press, tokio::time::timeout(HAPPENS_WITHIN, stops));
-    let halt = pressed.unwrap_err();
-    let trip = halt.as_trip().expect("a trip");
-    assert_eq!((trip.kind, all.is_ok()), (TripKind::Stale, true), "{}", trip.detail);
+    tripped(pressed, TripKind::Stale);
+    assert!(all.is_ok());
     assert_eq!(axes.z.stops.load(Ordering::SeqCst), 20, "by its safe end it is stopped again");
 }
 
@@ -194,7 +193,7 @@ async fn the_first_sample_of_a_press_is_late_from_when_its_start_was_sent() {
     stage.stopping.note_poll(0.2);
     *axes.z.starts_take.lock() = Duration::from_millis(300);
     *axes.cells.takes.lock() = Duration::from_millis(300);
-    *axes.z.after_start.lock() = Some(AxisStatus { moving: true, ..axes.z.present() });
+    axes.z.keep_moving();
     let press = stage.press_to(control, 10.0);
     let late = async {
         stopped(&axes, 1).await;
@@ -210,18 +209,18 @@ async fn the_first_sample_of_a_press_is_late_from_when_its_start_was_sent() {
 #[tokio::test]
 async fn a_press_does_not_start_on_a_sample_that_is_too_old_once_z_was_read() {
     let (axes, mut engine) = engine();
-    let stage = engine.connection.as_mut().unwrap().stage.as_mut().unwrap();
+    let (stage, control) = parts(&mut engine);
     stage.config.limits.sample_age_ms = Some(100);
     // Before the start z is read after the cells.
     *axes.z.status_takes.lock() = Duration::from_millis(300);
-    let halt = stage.press_to(&mut engine.control, 10.0).await.unwrap_err();
-    assert_eq!(halt.as_trip().expect("a trip").kind, TripKind::Stale, "{halt:?}");
+    tripped(stage.press_to(control, 10.0).await, TripKind::Stale);
     assert_eq!(axes.z.starts.load(Ordering::SeqCst), 0);
 }
 
 #[tokio::test]
 async fn a_touch_off_searches_no_tip_below_the_window_of_the_surface() {
-    let places = [first_place(&job())];
+    let job = job();
+    let first = &places(&job)[..1];
     for (is_felt_again, kind, words) in [
         (true, TripKind::Cell, "arm 2 touched nowhere in the touch-off (skin.surface_z_mm"),
         (false, TripKind::Position, "no cell detected the surface down to z = 70.000 mm (skin."),
@@ -234,7 +233,7 @@ async fn a_touch_off_searches_no_tip_below_the_window_of_the_surface() {
         // No arm but the first touches.
         *axes.cells.surface.lock() = Some((axes.z.clone(), bottom_mm - 1.0));
         let at = jiff::Timestamp::now();
-        let touches = touch_off::touch_off(stage, control, &places, 1, at);
+        let touches = touch_off::touch_off(stage, control, first, 1, at);
         let sinks = async {
             stopped(&axes, 1).await;
             if !is_felt_again {
@@ -244,10 +243,8 @@ async fn a_touch_off_searches_no_tip_below_the_window_of_the_surface() {
         // In this order: if both are due, the surface has sunk before the tips are raised from it.
         let (sunk, touched) = futures::join!(tokio::time::timeout(HAPPENS_WITHIN, sinks), touches);
         assert!(sunk.is_ok(), "{touched:?}");
-        let halt = touched.unwrap_err();
-        let trip = halt.as_trip().expect("a trip");
-        assert_eq!(trip.kind, kind, "{}", trip.detail);
-        assert!(trip.detail.starts_with(words), "{}", trip.detail);
+        let detail = tripped(touched, kind);
+        assert!(detail.starts_with(words), "{detail}");
         let deepest_mm = axes.z.targets.lock().iter().copied().fold(0.0, f64::max);
         assert_eq!(deepest_mm, bottom_mm);
     }
@@ -279,12 +276,9 @@ async fn disturbed(during: Phase, change: fn(&mut AxisStatus)) -> (TripKind, Pha
     stage.config.limits.frame_age_ms = 60_000;
     stage.tips = 1;
     stage.surface = Some(surface());
-    let configuration = job.plan.steps.iter().find_map(|step| match step {
-        Step::Configuration(c) => Some(c),
-        _ => None,
-    });
+    let configuration = job.plan.configurations().next().expect("one");
     let pressing = Pressing { run: job.run, plan: &job.plan, attempt: 1 };
-    let press = pressing.configuration(stage, control, configuration.expect("one"), &[0]);
+    let press = pressing.configuration(stage, control, configuration, &[0]);
     let mut status = handle.watch_status();
     let disturb = async {
         let is_in = |now: &Status| now.run.as_ref().is_some_and(|run| run.phase == during);
@@ -327,21 +321,18 @@ async fn an_axis_that_leaves_its_place_ends_the_press_before_frames_are_taken_or
 
 #[tokio::test]
 async fn no_place_is_touched_that_an_axis_has_left_during_the_tare() {
-    let places = [first_place(&job())];
-    let (axes, mut engine) = engine();
+    let (job, (axes, mut engine)) = (job(), engine());
     let (stage, control) = patient(&mut engine);
     stage.tips = 1;
-    let touches = touch_off::touch_off(stage, control, &places, 1, jiff::Timestamp::UNIX_EPOCH);
+    let (first, at) = (&places(&job)[..1], jiff::Timestamp::UNIX_EPOCH);
+    let touches = touch_off::touch_off(stage, control, first, 1, at);
     let leave = async {
-        while axes.x.starts.load(Ordering::SeqCst) == 0 {
-            tokio::time::sleep(Duration::from_millis(1)).await;
-        }
+        axes.x.started().await;
         axes.x.status.lock().position += 1.0;
     };
     let both = async { futures::join!(leave, touches) };
     let ((), touched) = tokio::time::timeout(HAPPENS_WITHIN, both).await.expect("it trips");
-    let halt = touched.unwrap_err();
-    let trip = halt.as_trip().expect("a trip");
-    assert!(trip.detail.starts_with("x measured at "), "{}", trip.detail);
+    let detail = tripped(touched, TripKind::Position);
+    assert!(detail.starts_with("x measured at "), "{detail}");
     assert_eq!(axes.z.starts.load(Ordering::SeqCst), 1, "it was raised only");
 }

@@ -6,7 +6,7 @@ use std::time::Duration;
 use tokio::sync::oneshot;
 use tokio::time::Instant;
 
-use super::{engine, job, parts, with_handle};
+use super::{engine, job, latched, parts, tripped, with_handle};
 use crate::campaign::bench::interlock::TripKind;
 use crate::campaign::bench::rig_state::RigState;
 use crate::campaign::bench::stage::AxisName;
@@ -16,17 +16,9 @@ use crate::campaign::run::halt::Halt;
 use crate::campaign::shown::command::Request;
 use crate::rig::traits::AxisStatus;
 use crate::schedule::configuration::Stand;
-use crate::schedule::plan::Step;
 
 /// Longest wait of a test for a motion that must end, also on a loaded machine.
 const ENDS_WITHIN: Duration = Duration::from_secs(10);
-
-/// Waits until a motion or homing of an axis was started.
-async fn started(axis: &StandIn) {
-    while axis.starts.load(Ordering::SeqCst) == 0 {
-        tokio::time::sleep(Duration::from_millis(1)).await;
-    }
-}
 
 /// Motions and homings of x, y and the rotary actuator that were started.
 fn lateral_starts(axes: &StandIns) -> [u64; 3] {
@@ -52,7 +44,7 @@ async fn no_axis_homes_sideways_while_an_attached_cell_reads_a_load_and_z_is_rai
     // After a start of the service no tips are known: each live cell counts.
     assert!(!engine.home().await);
     assert_eq!((lateral_starts(&axes), axes.z.present().position), ([0; 3], 0.0));
-    let trip = engine.control.inbox.status.borrow().rig.trip.clone().expect("a trip");
+    let trip = latched(&engine).expect("a trip");
     assert_eq!(trip.kind, TripKind::Cell);
     assert!(trip.detail.contains("cell 2 reads 13.9 N (limit 10 N"), "{}", trip.detail);
     // Of one tip, on arm 1.
@@ -88,7 +80,7 @@ async fn z_that_homes_into_a_load_is_stopped() {
     };
     let (is_homed, ()) = tokio::join!(engine.home(), grows);
     assert!(!is_homed && axes.z.stops.load(Ordering::SeqCst) > 0);
-    let trip = engine.control.inbox.status.borrow().rig.trip.clone().expect("a trip");
+    let trip = latched(&engine).expect("a trip");
     assert_eq!(trip.kind, TripKind::Force);
     assert!(trip.detail.starts_with("cell 1 reads 13.9 N more than"), "{}", trip.detail);
 }
@@ -103,12 +95,11 @@ async fn z_that_homes_into_a_load_before_its_start_is_acknowledged_is_stopped() 
     let (stage, control) = parts(&mut engine);
     let homing = tokio::time::timeout(ENDS_WITHIN, stage.home(control, None));
     let grows = async {
-        started(&axes.z).await;
+        axes.z.started().await;
         axes.cells.volts.lock()[0] = 1.0;
     };
     let (homed, ()) = tokio::join!(homing, grows);
-    let halt = homed.expect("it ends").unwrap_err();
-    assert_eq!(halt.as_trip().expect("a trip").kind, TripKind::Force, "{halt:?}");
+    tripped(homed.expect("it ends"), TripKind::Force);
 }
 
 #[tokio::test]
@@ -126,8 +117,7 @@ async fn z_homes_although_no_cell_replies_and_no_other_axis_does() {
     let (is_homed, ()) = tokio::join!(engine.home(), arrives);
     assert!(!is_homed);
     assert_eq!((lateral_starts(&axes), axes.z.present().position), ([0; 3], 0.0));
-    let trip = engine.control.inbox.status.borrow().rig.trip.clone();
-    assert_eq!(trip.map(|trip| trip.kind), Some(TripKind::Wire));
+    assert_eq!(latched(&engine).map(|trip| trip.kind), Some(TripKind::Wire));
 }
 
 #[tokio::test]
@@ -155,9 +145,7 @@ async fn no_axis_moves_sideways_unless_z_is_homed_at_rest_and_clear() {
             let kind = if is_fault { TripKind::Device } else { TripKind::Position };
             *axes.z.status.lock() = z;
             let (stage, control) = parts(&mut engine);
-            let moved = stage.travel(control, &[Target::of(name, 10.0)]).await;
-            let halt = moved.unwrap_err();
-            assert_eq!(halt.as_trip().map(|trip| trip.kind), Some(kind), "{halt:?}");
+            tripped(stage.travel(control, &[Target::of(name, 10.0)]).await, kind);
         }
     }
     assert_eq!(lateral_starts(&axes), [0; 3]);
@@ -212,8 +200,7 @@ async fn nothing_moves_under_a_load_before_its_first_sample() {
     stage.tips = 1;
     let target = Target::of(AxisName::Z, 10.0);
     axes.cells.volts.lock()[0] = 4.0;
-    let halt = stage.checked_travel(control, target).await.unwrap_err();
-    assert_eq!(halt.as_trip().map(|trip| trip.kind), Some(TripKind::Force), "{halt:?}");
+    tripped(stage.checked_travel(control, target).await, TripKind::Force);
     assert_eq!(axes.z.starts.load(Ordering::SeqCst), 0);
     axes.cells.volts.lock()[0] = 0.5;
     stage.begin_watch();
@@ -228,8 +215,7 @@ async fn a_lateral_motion_ends_when_z_sinks_or_a_cell_reads_a_load() {
         (0.0, true, 1.0, TripKind::Cell, "no lateral motion: z reports to be clear, and cell 1"),
     ] {
         let (axes, mut engine) = engine();
-        // It moves until it is stopped.
-        *axes.x.after_start.lock() = Some(AxisStatus { moving: true, ..axes.x.present() });
+        axes.x.keep_moving();
         let (stage, control) = parts(&mut engine);
         stage.tips = 1;
         let target = [Target::of(AxisName::X, 100.0)];
@@ -240,10 +226,8 @@ async fn a_lateral_motion_ends_when_z_sinks_or_a_cell_reads_a_load() {
             axes.cells.volts.lock()[0] = volts;
         };
         let (moved, ()) = tokio::join!(travel, touches);
-        let halt = moved.unwrap_err();
-        let trip = halt.as_trip().expect("a trip");
-        assert_eq!(trip.kind, kind);
-        assert!(trip.detail.starts_with(words), "{}", trip.detail);
+        let detail = tripped(moved, kind);
+        assert!(detail.starts_with(words), "{detail}");
         assert_eq!(axes.x.starts.load(Ordering::SeqCst), 1);
     }
 }
@@ -264,7 +248,7 @@ async fn a_jog_on_slow_wires_counts_each_reading_of_the_cells() {
 
 /// Waits until an axis was started; from then on the cells do not reply.
 async fn silence(axes: &StandIns, axis: &StandIn) {
-    started(axis).await;
+    axis.started().await;
     *axes.cells.takes.lock() = Duration::from_secs(20);
 }
 
@@ -272,8 +256,7 @@ async fn silence(axes: &StandIns, axis: &StandIn) {
 async fn an_abort_of_a_lateral_motion_or_homing_waits_for_no_cell() {
     for homes in [true, false] {
         let (axes, mut engine, handle) = with_handle();
-        // It moves until it is stopped.
-        *axes.x.after_start.lock() = Some(AxisStatus { moving: true, ..axes.x.present() });
+        axes.x.keep_moving();
         let abort = async {
             silence(&axes, &axes.x).await;
             tokio::time::sleep(Duration::from_millis(200)).await;
@@ -293,7 +276,7 @@ async fn an_abort_of_a_lateral_motion_or_homing_waits_for_no_cell() {
         let (moved, took) = tokio::join!(moves, abort);
         assert!(!moved && took < Duration::from_secs(1), "{took:?}");
         assert_eq!(axes.x.stops.load(Ordering::SeqCst), u64::from(homes), "by its safe end");
-        assert_eq!(engine.control.inbox.status.borrow().rig.trip, None);
+        assert_eq!(latched(&engine), None);
     }
 }
 
@@ -302,7 +285,7 @@ async fn no_axis_goes_on_without_a_sample_while_the_wire_still_waits_for_one() {
     for name in [AxisName::Z, AxisName::X] {
         let (axes, mut engine) = engine();
         let axis = if name == AxisName::Z { &axes.z } else { &axes.x };
-        *axis.after_start.lock() = Some(AxisStatus { moving: true, ..axis.present() });
+        axis.keep_moving();
         let (stage, control) = parts(&mut engine);
         stage.config.limits.sample_age_ms = Some(100);
         let began = Instant::now();
@@ -314,9 +297,7 @@ async fn no_axis_goes_on_without_a_sample_while_the_wire_still_waits_for_one() {
             stage.travel(control, &[target]).await
         };
         let (moved, ()) = tokio::join!(travel, silence(&axes, axis));
-        let halt = moved.unwrap_err();
-        let trip = halt.as_trip().expect("a trip");
-        assert_eq!(trip.kind, TripKind::Stale, "{}", trip.detail);
+        tripped(moved, TripKind::Stale);
         assert!(began.elapsed() < Duration::from_secs(2), "{:?}", began.elapsed());
     }
 }
@@ -335,8 +316,7 @@ async fn no_axis_goes_on_while_the_wire_still_waits_for_the_reply_to_its_start()
         } else {
             stage.travel(control, &[target]).await
         };
-        let halt = moved.unwrap_err();
-        assert_eq!(halt.as_trip().expect("a trip").kind, TripKind::Stale, "{halt:?}");
+        tripped(moved, TripKind::Stale);
         assert!(began.elapsed() < Duration::from_secs(2), "{:?}", began.elapsed());
     }
 }
@@ -346,8 +326,7 @@ async fn no_axis_goes_on_sideways_while_z_is_read_too_rarely_although_each_reply
     // Neither the reply of z nor the one that is awaited before it takes too long, but both together do.
     for (homes, is_start_slow) in [(false, false), (false, true), (true, false), (true, true)] {
         let (axes, mut engine) = engine();
-        // It moves until it is stopped.
-        *axes.x.after_start.lock() = Some(AxisStatus { moving: true, ..axes.x.present() });
+        axes.x.keep_moving();
         *axes.x.starts_take.lock() = Duration::from_millis(20);
         let (stage, control) = parts(&mut engine);
         stage.config.limits.sample_age_ms = Some(300);
@@ -359,7 +338,7 @@ async fn no_axis_goes_on_sideways_while_z_is_read_too_rarely_although_each_reply
             stage.travel(control, &targets).await
         };
         let slows = async {
-            started(&axes.x).await;
+            axes.x.started().await;
             let slow = if is_start_slow { &axes.y.starts_take } else { &axes.x.status_takes };
             for takes in [slow, &axes.z.status_takes] {
                 *takes.lock() = Duration::from_millis(200);
@@ -367,8 +346,7 @@ async fn no_axis_goes_on_sideways_while_z_is_read_too_rarely_although_each_reply
         };
         // In this order: if both are due, they are slow before the start is acknowledged.
         let ((), moved) = futures::join!(slows, tokio::time::timeout(ENDS_WITHIN, moves));
-        let halt = moved.expect("it ends").unwrap_err();
-        assert_eq!(halt.as_trip().map(|trip| trip.kind), Some(TripKind::Stale), "{halt:?}");
+        tripped(moved.expect("it ends"), TripKind::Stale);
     }
 }
 
@@ -390,12 +368,11 @@ async fn no_axis_goes_on_homing_without_its_status_or_the_reply_to_its_start() {
         stage.config.limits.sample_age_ms = Some(100);
         let homing = tokio::time::timeout(ENDS_WITHIN, stage.home(control, None));
         let falls_silent = async {
-            started(axis).await;
+            axis.started().await;
             *axis.status_takes.lock() = 2 * ENDS_WITHIN;
         };
         let (homed, ()) = tokio::join!(homing, falls_silent);
-        let halt = homed.expect("it ends").unwrap_err();
-        assert_eq!(halt.as_trip().expect("a trip").kind, TripKind::Stale, "{name:?} {halt:?}");
+        tripped(homed.expect("it ends"), TripKind::Stale);
     }
 }
 
@@ -410,12 +387,11 @@ async fn z_that_homes_is_read_although_the_cells_are_silent() {
     stage.config.limits.sample_age_ms = Some(100);
     let homing = tokio::time::timeout(ENDS_WITHIN, stage.home(control, None));
     let fails = async {
-        started(&axes.z).await;
+        axes.z.started().await;
         axes.z.status.lock().alarm = Some(1);
     };
     let (homed, ()) = tokio::join!(homing, fails);
-    let halt = homed.expect("it ends").unwrap_err();
-    assert_eq!(halt.as_trip().expect("a trip").kind, TripKind::Device, "{halt:?}");
+    tripped(homed.expect("it ends"), TripKind::Device);
 }
 
 #[tokio::test]
@@ -444,8 +420,7 @@ async fn a_drive_in_alarm_that_keeps_its_zero_is_not_homed() {
     let (axes, mut engine) = engine();
     *axes.x.after_start.lock() = Some(AxisStatus { alarm: Some(1), ..axes.x.present() });
     assert!(!engine.home().await);
-    let trip = engine.control.inbox.status.borrow().rig.trip.clone();
-    assert_eq!(trip.map(|trip| trip.kind), Some(TripKind::Device));
+    assert_eq!(latched(&engine).map(|trip| trip.kind), Some(TripKind::Device));
 }
 
 #[tokio::test]
@@ -463,8 +438,7 @@ async fn a_homing_that_ends_outside_the_travel_is_none() {
     let (axes, mut engine) = engine();
     *axes.radial.after_start.lock() = Some(AxisStatus { position: -30.0, ..axes.radial.present() });
     assert!(!engine.home().await);
-    let trip = engine.control.inbox.status.borrow().rig.trip.clone();
-    assert_eq!(trip.map(|trip| trip.kind), Some(TripKind::Position));
+    assert_eq!(latched(&engine).map(|trip| trip.kind), Some(TripKind::Position));
 }
 
 #[tokio::test]
@@ -473,11 +447,8 @@ async fn a_radius_is_approached_by_the_backlash_although_a_motion_has_ended_clos
     let (stage, control) = parts(&mut engine);
     let slot = stage.config.slot.clone();
     assert_eq!(slot.backlash_mm, 0.3);
-    let stand = job.plan.steps.iter().find_map(|step| match step {
-        Step::Configuration(c) => Some(c.stand.clone()),
-        _ => None,
-    });
-    let stand = |radius_mm| Stand { radius_mm, ..stand.clone().expect("a configuration") };
+    let first = job.plan.configurations().next().expect("a configuration");
+    let stand = |radius_mm| Stand { radius_mm, ..first.stand.clone() };
     // Radii that were commanded since the last call.
     let commanded = || {
         let angles = std::mem::take(&mut *axes.radial.targets.lock());
