@@ -18,7 +18,7 @@ const TRIALS: usize = 24;
 /// Process seconds in a wall second.
 pub(super) const SPEED: f64 = 20.0;
 
-/// A run that has stored `trials`.
+/// A run that is active and has stored at least `trials`.
 pub(super) async fn started(name: &str, trials: u64) -> (Lab, String) {
     started_at(name, SPEED, trials).await
 }

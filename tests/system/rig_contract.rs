@@ -1,4 +1,4 @@
-//! One contract for every driver, kept against the virtual rig, which encodes and decodes messages without its code:
+//! One contract for every driver, kept against the virtual rig, whose messages are encoded without the drivers' code:
 //! be looked at without a write, take control, home, move there, stop short, be refused beyond the
 //! limits, read the cells, take frames, come back after an alarm and a power loss. Each rig file's own devices
 //! and wires are served: Modbus TCP, or RTU on pseudo-terminals; each device that the virtual
