@@ -159,7 +159,9 @@ impl Drop for Log {
 fn levels(wanted: &str) -> Result<Targets, String> {
     let is_level = |word: &str| word.parse::<LevelFilter>().is_ok();
     if let Some(word) = wanted.split(',').find(|word| !word.contains('=') && !is_level(word)) {
-        return Err(format!("{word}: must be off, error, warn, info, debug or trace, or PART=LEVEL"));
+        return Err(format!(
+            "{word}: must be off, error, warn, info, debug or trace, or PART=LEVEL"
+        ));
     }
     let levels = wanted.parse::<Targets>().map_err(|error| error.to_string())?;
     Ok(match levels.default_level() {

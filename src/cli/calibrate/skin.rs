@@ -18,7 +18,7 @@ use super::super::client::Client;
 use super::super::error::CliResult;
 use super::super::files::{calibration_problem, parse_calibration, write};
 use super::super::find::find_run;
-use super::super::output::{counted, say, say_json};
+use super::super::output::{counted, note, say, say_json};
 use super::super::picture::{self, figure_file};
 use super::super::progress::{Counted, LogLines, progress_bar};
 use super::super::simulate::solving;
@@ -71,7 +71,7 @@ pub struct SkinArgs {
 pub async fn skin(client: &Client, args: &SkinArgs) -> CliResult<()> {
     let run = find_run(client, &args.run).await?;
     let (sensor, earlier) = start(&run, args)?;
-    let candidates = candidates(&client.showing("reading the trials"), &run).await?;
+    let candidates = candidates(&client.showing("reading the trials"), &run, &sensor).await?;
     let least_n = if run.kind == RunKind::RealHex { run.deadband_n } else { 0.0 };
     let choice = choose(&candidates, args.trials, least_n);
     let trials = frames(client, &run, &candidates, &choice, sensor.channels()).await?;
@@ -120,25 +120,35 @@ fn start(run: &RunRow, args: &SkinArgs) -> CliResult<(Sensor, Option<Calibration
     Ok((applied.into_sensor(), Some(earlier)))
 }
 
-/// All trials of a run without a flag: positions of the tips, contacts.
-async fn candidates(client: &Client, run: &RunRow) -> CliResult<Vec<Candidate>> {
+/// The trials of a run without a flag whose contacts are wholly on the skin: an import may have others, which the model
+/// cannot take. Positions of the tips, contacts.
+async fn candidates(client: &Client, run: &RunRow, sensor: &Sensor) -> CliResult<Vec<Candidate>> {
     let force_noise_n = match &run.rig {
         Some(rig) => RigSetup::from_toml("rig", rig)?.force_noise_n(),
         None => None,
     };
     let force_noise_n = force_noise_n.unwrap_or(0.0);
     let path = format!("/api/v1/runs/{}/trials?flagged=false&limit={PAGE_TRIALS}", run.uid);
-    let (mut candidates, mut cursor) = (Vec::new(), String::new());
+    let (mut candidates, mut beyond, mut cursor) = (Vec::new(), 0u64, String::new());
     loop {
         let page: Page<TrialRow> = client.get(&format!("{path}{cursor}")).await?;
         for trial in &page.items {
             let Some(contacts) = contacts(trial, run.kind, force_noise_n) else { continue };
+            if contacts.iter().any(|contact| !sensor.holds_tip([contact.x_mm, contact.y_mm])) {
+                beyond += 1;
+                continue;
+            }
             let tips_mm = tips_mm(trial, run.kind, &contacts);
             candidates.push(Candidate { trial: trial.trial_id.0, tips_mm, contacts });
         }
-        let Some(next) = page.next else { return Ok(candidates) };
+        let Some(next) = page.next else { break };
         cursor = format!("&cursor={next}");
     }
+    if beyond > 0 {
+        let trials = counted(beyond, "trial", "trials");
+        note(format_args!("{trials} with a tip that is not wholly on the skin left out"));
+    }
+    Ok(candidates)
 }
 
 /// The chosen trials with their frames: fitted ones, held-out ones.

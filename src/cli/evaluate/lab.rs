@@ -3,6 +3,7 @@
 
 use std::path::{Path, PathBuf};
 
+use clap::builder::{PossibleValuesParser, TypedValueParser};
 use clap::{Args, ValueEnum};
 use parking_lot::Mutex;
 use reqwest::multipart::Part;
@@ -77,8 +78,8 @@ pub struct ExtentArgs {
     #[arg(long)]
     by_trial: bool,
     /// Finest pixel of the force maps that are trained, mm, instead of that of the scale.
-    #[arg(long, value_name = "MM", value_parser = ["4", "10", "20"])]
-    finest_mm: Option<String>,
+    #[arg(long, value_name = "MM", value_parser = pixels_mm())]
+    finest_mm: Option<u8>,
 }
 
 /// Options of a table.
@@ -96,6 +97,11 @@ pub struct LabArgs {
     at: At,
 }
 
+/// Pixels of the paper's force maps, mm.
+fn pixels_mm() -> impl TypedValueParser<Value = u8> {
+    PossibleValuesParser::new(["4", "10", "20"]).try_map(|mm| mm.parse::<u8>())
+}
+
 impl ExtentArgs {
     /// The budget of these options.
     pub fn budget(&self) -> Budget {
@@ -111,8 +117,7 @@ impl ExtentArgs {
             seed: self.seed,
             transfer: self.transfer.clone(),
             by_trial: self.by_trial,
-            // The parser admits numbers only.
-            finest_mm: self.finest_mm.as_deref().and_then(|mm| mm.parse().ok()),
+            finest_mm: self.finest_mm.map(f64::from),
         }
     }
 }
