@@ -149,6 +149,15 @@ fn show(summary: &Summary) {
         without => format!(", {without} contacts without"),
     };
     line("forces", &format_args!("{}{without}", range(summary.force_n, "N")));
+    if summary.contacts_of_0_n > 0 {
+        let contacts = counted(summary.contacts_of_0_n, "contact", "contacts");
+        line(
+            "",
+            &format_args!(
+                "{contacts} of 0 N: an untouched skin has none; state deadband_n in datasets"
+            ),
+        );
+    }
     if !summary.splits.is_empty() {
         line("split", &counts(&summary.splits, ""));
     }

@@ -320,7 +320,10 @@ impl<'a> Reader<'a> {
                 if let Some(value) = value
                     && (!(0.0..=most).contains(&value) || from == "above" && value == 0.0)
                 {
-                    let limit = format!("must be {from} 0 to {most}, or null");
+                    let mut limit = format!("must be {from} 0 to {most}, or null");
+                    if name == "force_n" && value < 0.0 {
+                        limit += ": a cell that reads less than 0 is not pressed, so there is no contact";
+                    }
                     self.wrong(&format!("contacts[{contact}].{name}"), value, limit);
                 }
             }

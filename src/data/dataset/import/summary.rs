@@ -34,6 +34,8 @@ pub struct Summary {
     pub force_n: Option<[f64; 2]>,
     /// Number of contacts without a force.
     pub contacts_without_force: u64,
+    /// Number of contacts of 0 N: untouched skins that are stated as a contact.
+    pub contacts_of_0_n: u64,
     /// Number of trials by the part that the file states.
     pub splits: BTreeMap<String, u64>,
     /// Number of trials by the tag that the file states.
@@ -63,7 +65,10 @@ impl Summary {
             contact.x_mm.into_iter().for_each(|x| extend(&mut self.x_mm, x));
             contact.y_mm.into_iter().for_each(|y| extend(&mut self.y_mm, y));
             match contact.force_n {
-                Some(force) => extend(&mut self.force_n, force),
+                Some(force) => {
+                    extend(&mut self.force_n, force);
+                    self.contacts_of_0_n += u64::from(force == 0.0);
+                }
                 None => self.contacts_without_force += 1,
             }
         }
@@ -98,9 +103,12 @@ mod tests {
         assert_eq!((summary.rows, summary.channels, summary.missing_voltages), (2, 2, 1));
         assert_eq!((summary.voltages_v, summary.raw_frames), (Some([-2.0, 1.5]), 2));
         assert_eq!((summary.x_mm, summary.force_n), (Some([3.0, 3.0]), Some([4.0, 4.0])));
-        assert_eq!(summary.contacts_without_force, 1);
+        assert_eq!((summary.contacts_without_force, summary.contacts_of_0_n), (1, 0));
         assert_eq!(summary.contact_counts, BTreeMap::from([(0, 1), (2, 1)]));
         assert_eq!(summary.splits, BTreeMap::from([("test".to_owned(), 1)]));
         assert_eq!(summary.tags, BTreeMap::from([("A3".to_owned(), 1)]));
+        trial.contacts = vec![Contact { force_n: Some(0.0), ..place }];
+        summary.add(&trial);
+        assert_eq!((summary.contacts_of_0_n, summary.force_n), (1, Some([0.0, 4.0])));
     }
 }

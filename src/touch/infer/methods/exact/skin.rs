@@ -8,6 +8,7 @@ use sim_core::inverse::contacts::{
 
 use super::rehearsal::LEAST_REHEARSED;
 use super::skin_errors::{LEAST_KNOWN, SkinErrors, Stretch, grown};
+use super::untouched::{Drift, LEAST_UNTOUCHED};
 use super::zero::Zero;
 use crate::ids::CalibrationId;
 use crate::infer::answer::{Alternative, FoundContact, Reading};
@@ -79,6 +80,11 @@ impl ExactSkin {
                 "95 % regions were not compared with known contacts: fewer than {LEAST_REHEARSED} \
                  trials of {} that it was not fitted to have forces of 5 N and more only, or all are of one \
                  configuration",
+                of_run()
+            )),
+            SkinErrors { drift: Drift { day_sd_v: None, .. }, .. } => Some(format!(
+                "the drift of the offsets is unknown: the database has fewer than {LEAST_UNTOUCHED} untouched trials \
+                 of {}; standard deviations do not grow with the age of the untouched frame",
                 of_run()
             )),
             _ => None,

@@ -216,7 +216,7 @@ mod tests {
     use super::*;
     use crate::infer::maps::ForceMaps;
     use crate::infer::methods::ReadyMethod;
-    use crate::infer::methods::exact::{ExactPipeline, KnownTrial};
+    use crate::infer::methods::exact::{ExactPipeline, KnownTrial, Untouched};
 
     const SENSOR: &str = include_str!("../../../../../experiments/sensors/ert-28.toml");
 
@@ -247,8 +247,15 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let cache = folder.path();
         let trials = trials(&model, 80);
-        let known =
-            |count: usize| KnownTrials { pressed: trials[..count].to_vec(), ..Default::default() };
+        let mut rng = ChaCha8Rng::seed_from_u64(6);
+        let mut noise_v = |_| (0..784).map(|_| rng.random_range(-2e-3f32..2e-3)).collect();
+        let frames_v: Vec<Vec<f32>> = (0..40).map(&mut noise_v).collect();
+        let untouched = Untouched { frames_v, averaged: 1.0, hours: 3.0, ..Untouched::default() };
+        let known = |count: usize| KnownTrials {
+            pressed: trials[..count].to_vec(),
+            untouched: untouched.clone(),
+            ..Default::default()
+        };
         let (known, fewer, other) = (known(70), known(69), &trials[75]);
         let answer = || {
             let skin = Arc::new(ready(&model, &known, cache, None).unwrap());
@@ -280,5 +287,11 @@ mod tests {
         assert!(of(&known).limitation().is_none() && carried.exists());
         let elsewhere = of(&none);
         assert_eq!((elsewhere.limitation(), elsewhere.errors().learnt_from), (None, 70));
+        // Without untouched trials the drift is not known to be 0.
+        let pressed = KnownTrials { untouched: Untouched::default(), ..known.clone() };
+        let elsewhere = tempfile::tempdir().unwrap();
+        let skin = ready(&model, &pressed, elsewhere.path(), None).unwrap();
+        let words = skin.limitation().unwrap();
+        assert!(words.contains("drift of the offsets is unknown"), "{words}");
     }
 }

@@ -10,6 +10,8 @@ use crate::infer::untouched_frame::UntouchedBefore;
 const OFFSET_PARTS: usize = 10;
 /// Smallest number of frames in a part.
 const PART_FRAMES: usize = 4;
+/// Smallest number of untouched frames from which the drift is estimated.
+pub(super) const LEAST_UNTOUCHED: usize = OFFSET_PARTS * PART_FRAMES;
 /// Age of the offsets for which an answer allows: a skin that was calibrated yesterday.
 const AGE_HOURS: f64 = 24.0;
 /// Number of frames in the untouched frame of a configuration.
@@ -118,7 +120,7 @@ impl Untouched {
             of_pairs(&change_v)
         };
         let changes: Vec<Vec<f64>> = both.map(change).collect();
-        let pairs = changes.first().filter(|_| changes.len() >= OFFSET_PARTS * PART_FRAMES)?.len();
+        let pairs = changes.first().filter(|_| changes.len() >= LEAST_UNTOUCHED)?.len();
         let squares: f64 = changes.iter().flatten().map(|v| v * v).sum();
         // The noise of the frame itself is no offset.
         let noise_v2 = self.noise_sd_v()?.powi(2) / (self.averaged * pairs as f64);
