@@ -1,5 +1,5 @@
 //! Arrow columns of trials from plain values, in types that `rows` reads.
-//! PURE. Uses: arrow, `store`'s contact. Never: a check of a value.
+//! PURE. Uses: arrow, `store`'s contact, the names of its fields. Never: a check of a value.
 
 use std::sync::Arc;
 

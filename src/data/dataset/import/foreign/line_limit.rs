@@ -1,5 +1,5 @@
 //! A reader that ends with an error when a line of a text is too long.
-//! Uses: std. Never: a text that grows in memory without a bound.
+//! Uses: std, the error of this folder. Never: a text that grows in memory without a bound.
 //!
 //! The parser of lines holds a whole line, and a quotation mark without its pair makes the rest of a file one
 //! line. The owner renews the allowance after each line.

@@ -428,8 +428,7 @@ async fn a_drive_whose_motor_is_off_and_that_keeps_its_zero_is_not_homed() {
     let (axes, mut engine) = engine();
     axes.radial.status.lock().ready = false;
     assert!(!engine.home().await);
-    let trip = engine.control.inbox.status.borrow().rig.trip.clone();
-    assert_eq!(trip.map(|trip| trip.kind), Some(TripKind::Device));
+    assert_eq!(latched(&engine).map(|trip| trip.kind), Some(TripKind::Device));
     assert_eq!(lateral_starts(&axes), [0; 3]);
 }
 
