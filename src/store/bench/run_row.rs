@@ -150,6 +150,16 @@ impl RunRow {
         self.is_open() && self.state != StoredState::Interrupted
     }
 
+    /// The row as it is once the runs that an earlier process left open are marked as interrupted.
+    pub(crate) fn interrupted(self) -> Self {
+        if !self.is_driven() {
+            return self;
+        }
+        let (state, paused_why) = (StoredState::Interrupted, Some(PausedWhy::Restart));
+        let is_resumable = is_resumable(self.kind, state, self.exit_status);
+        Self { state, requested_state: None, paused_why, is_resumable, ..self }
+    }
+
     pub(crate) fn read(c: &Columns<'_>) -> StoreResult<Self> {
         let (kind, state) = (c.word("kind")?, c.word("state")?);
         let exit_status = c.word_or_none("exit_status")?;

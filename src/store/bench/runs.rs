@@ -1,6 +1,8 @@
 //! Runs: storing, listing and reading them.
 //! Uses: `core`, `table` (conditions), `run_row`. Never: a change of a state (`run_state`).
 
+use std::sync::atomic::Ordering;
+
 use jiff::Timestamp;
 use rusqlite::Connection;
 use sqlx::sqlite::SqliteConnection;
@@ -14,7 +16,28 @@ use crate::ids::RunUid;
 use crate::state::StoredState;
 use crate::table::condition::Condition;
 
+/// State of a run `r` as it is read where open runs are left as they are.
+const STATE_READ: &str =
+    "(CASE WHEN r.state IN ('queued', 'interrupted', 'ended', 'removed') THEN r.state
+      ELSE 'interrupted' END)";
+
 impl Store {
+    /// From now on, runs that an earlier process left open are read as interrupted: nothing drives them. They stay as
+    /// they are stored, so that the next process finds what it would have found without this one.
+    pub fn leave_open_runs(&self) {
+        self.inner.leaves_open.store(true, Ordering::SeqCst);
+    }
+
+    /// Whether runs that an earlier process left open stay as they are stored ([`Store::leave_open_runs`]).
+    pub fn leaves_open_runs(&self) -> bool {
+        self.inner.leaves_open.load(Ordering::SeqCst)
+    }
+
+    /// A run as it is read.
+    fn as_read(&self, run: RunRow) -> RunRow {
+        if self.leaves_open_runs() { run.interrupted() } else { run }
+    }
+
     /// Stores a new run in the state `idle`. Returns its row, which holds its number.
     ///
     /// # Errors
@@ -38,7 +61,7 @@ impl Store {
     /// `Sql` or `Unreadable` if the read fails.
     pub async fn run(&self, run: RunUid) -> StoreResult<Option<RunRow>> {
         let query = sqlx::query("SELECT * FROM runs WHERE uid = ?1").bind(run.to_string());
-        self.row("reading a run", query, RunRow::read).await
+        Ok(self.row("reading a run", query, RunRow::read).await?.map(|run| self.as_read(run)))
     }
 
     /// Returns a run by its number; `None` if it is not stored.
@@ -47,7 +70,7 @@ impl Store {
     /// `Sql` or `Unreadable` if the read fails.
     pub async fn run_by_scan_id(&self, scan_id: i64) -> StoreResult<Option<RunRow>> {
         let query = sqlx::query("SELECT * FROM runs WHERE scan_id = ?1").bind(scan_id);
-        self.row("reading a run", query, RunRow::read).await
+        Ok(self.row("reading a run", query, RunRow::read).await?.map(|run| self.as_read(run)))
     }
 
     /// Returns at most `limit` runs that meet all conditions, newest first, with numbers below `before`.
@@ -65,8 +88,12 @@ impl Store {
         query.bind(before.unwrap_or(i64::MAX));
         conditions.iter().for_each(|condition| condition.push_onto(&mut query));
         query.push(" ORDER BY r.scan_id DESC LIMIT ").bind(i64::from(limit) + 1);
+        if self.leaves_open_runs() {
+            query.replace("r.state", STATE_READ);
+        }
         let read = move |c: &Connection| query.rows(c, OPERATION, RunRow::read);
-        let mut runs = self.inner.bulk.read(OPERATION, read).await?;
+        let runs = self.inner.bulk.read(OPERATION, read).await?;
+        let mut runs: Vec<RunRow> = runs.into_iter().map(|run| self.as_read(run)).collect();
         let more = runs.len() > limit as usize;
         runs.truncate(limit as usize);
         let next = if more { runs.last().map(|r| r.scan_id) } else { None };
@@ -111,7 +138,8 @@ impl Store {
         .bind(sensor_sha256.to_owned())
         .bind(label.as_str())
         .bind(time_text(before));
-        self.row("looking for an earlier run", query, RunRow::read).await
+        let run = self.row("looking for an earlier run", query, RunRow::read).await?;
+        Ok(run.map(|run| self.as_read(run)))
     }
 
     /// Returns all runs except the removed ones, oldest first.
@@ -120,15 +148,19 @@ impl Store {
     /// `Sql` or `Unreadable` if the read fails.
     pub async fn all_runs(&self) -> StoreResult<Vec<RunRow>> {
         let query = sqlx::query("SELECT * FROM runs WHERE state <> 'removed' ORDER BY scan_id");
-        self.rows("reading all runs", query, RunRow::read).await
+        let runs = self.rows("reading all runs", query, RunRow::read).await?;
+        Ok(runs.into_iter().map(|run| self.as_read(run)).collect())
     }
 
     /// Returns the runs in a state of the engine, oldest first. Before an engine starts, these are the
-    /// runs that an earlier process did not end.
+    /// runs that an earlier process did not end; none after [`Store::leave_open_runs`].
     ///
     /// # Errors
     /// `Sql` or `Unreadable` if the read fails.
     pub async fn open_runs(&self) -> StoreResult<Vec<RunRow>> {
+        if self.leaves_open_runs() {
+            return Ok(Vec::new());
+        }
         let query = sqlx::query(
             "SELECT * FROM runs WHERE state NOT IN ('queued', 'interrupted', 'ended', 'removed')
              ORDER BY scan_id",

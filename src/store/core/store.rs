@@ -6,6 +6,7 @@ use std::io::ErrorKind;
 use std::os::unix::fs::OpenOptionsExt;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
 use parking_lot::Mutex;
@@ -70,6 +71,8 @@ pub(crate) struct Inner {
     pub(crate) soundness: Mutex<Soundness>,
     /// Number of changes of stored trials and of their twins, by scan id, since this store was opened.
     pub(crate) changes: Mutex<HashMap<i64, u64>>,
+    /// Whether runs that an earlier process left open stay as they are stored, and are read as interrupted.
+    pub(crate) leaves_open: AtomicBool,
 }
 
 impl Store {
@@ -131,7 +134,9 @@ impl Store {
         let (path, changes) = (path.to_owned(), Mutex::default());
         let (runs, soundness) = (Mutex::default(), Mutex::default());
         let bulk = Bulk::new(&path, BUSY_TIMEOUT);
-        let inner = Inner { path, clock, writer, readers, bulk, runs, soundness, changes };
+        let leaves_open = AtomicBool::default();
+        let inner =
+            Inner { path, clock, writer, readers, bulk, runs, soundness, changes, leaves_open };
         Ok(Self { inner: Arc::new(inner) })
     }
 

@@ -2,6 +2,7 @@
 //! Uses: `store`. Never: HTTP.
 
 use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
 use std::time::Duration;
 
 use parking_lot::Mutex;
@@ -167,6 +168,7 @@ async fn a_disk_that_hangs_is_waited_for_by_the_campaign_alone() {
             runs: Mutex::default(),
             soundness: Mutex::default(),
             changes: Mutex::default(),
+            leaves_open: AtomicBool::default(),
         }),
     };
     let hanging = hang();

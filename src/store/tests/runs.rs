@@ -117,6 +117,40 @@ async fn open_runs_are_interrupted_at_the_start() {
 }
 
 #[tokio::test]
+async fn open_runs_that_are_left_are_read_as_interrupted_and_stay_as_they_are_stored() {
+    let (folder, store) = fresh().await;
+    let (open_run, queued) = (new_run(RunKind::RealHex), new_run(RunKind::RealHex));
+    let [uid, next] = [open_run.uid, queued.uid];
+    let scan_id = store.create_run(open_run).await.unwrap().scan_id;
+    store.enqueue(queued).await.unwrap();
+    store.set_waiting(next).await.unwrap();
+    let (requested, why) = (Some(StoredState::Running), Some(PausedWhy::Operator));
+    let state = StoredState::Paused;
+    store.run_state(uid, StateChange { state, requested, why }, now()).await.unwrap();
+    let stored = store.run(uid).await.unwrap().unwrap();
+    store.leave_open_runs();
+    let read = store.run(uid).await.unwrap().unwrap();
+    assert_eq!((read.state, read.requested_state), (StoredState::Interrupted, None));
+    assert_eq!((read.paused_why, read.is_resumable), (Some(PausedWhy::Restart), true));
+    assert_eq!(store.run_by_scan_id(scan_id).await.unwrap().as_ref(), Some(&read));
+    assert_eq!(store.all_runs().await.unwrap()[0], read);
+    assert!(store.open_runs().await.unwrap().is_empty());
+    let listed = async |condition: &str| -> Vec<RunUid> {
+        let condition = Condition::parse_of(&RUN_COLUMNS, condition).unwrap();
+        let page = store.runs(&[condition], 10, None).await.unwrap();
+        page.runs.iter().map(|run| run.uid).collect()
+    };
+    assert_eq!(listed("state=interrupted").await, [uid]);
+    assert_eq!(listed("state__in=queued,interrupted").await, [next, uid]);
+    assert!(listed("state=paused").await.is_empty());
+    store.close().await;
+    let store = open(&folder.file()).await;
+    assert_eq!(store.run(uid).await.unwrap(), Some(stored));
+    assert_eq!(store.open_runs().await.unwrap().len(), 1);
+    assert_eq!(store.waiting_runs().await.unwrap().len(), 1);
+}
+
+#[tokio::test]
 async fn the_newest_run_that_pressed_the_skin_before_a_time_is_found() {
     let (_folder, store) = fresh().await;
     let mut pressed = Vec::new();
