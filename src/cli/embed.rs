@@ -113,7 +113,8 @@ fn options(data: PathBuf, rig: &RigFiles, purpose: Purpose) -> CliResult<ServeOp
         data,
         rig_file: rig.file.clone(),
         rig_text: rig.text.clone(),
-        resume: AutoResume::Off,
+        // The next `serve` finds the runs as they are stored.
+        resume: AutoResume::Later,
         twin_workers: TWIN_WORKERS,
         calibration: None,
         sensor,
@@ -207,6 +208,7 @@ mod tests {
         for purpose in [Purpose::Reads, Purpose::Computes, Purpose::Stores] {
             let options = options("data".into(), &rig, purpose).unwrap();
             assert!(options.desk, "{purpose:?}");
+            assert_eq!(options.resume, AutoResume::Later, "{purpose:?}");
             assert_eq!(options.idle, purpose == Purpose::Reads, "{purpose:?}");
         }
     }

@@ -116,7 +116,11 @@ async fn serve_rig(
         data: data_or_default(args.data.clone()),
         rig_file: rig.file,
         rig_text: rig.text,
-        resume: if args.no_resume { AutoResume::Off } else { AutoResume::Allowed },
+        resume: match (args.no_resume, args.desk) {
+            (true, _) => AutoResume::Off,
+            (false, true) => AutoResume::Later,
+            (false, false) => AutoResume::Allowed,
+        },
         twin_workers: args.twin_workers,
         calibration: args.calibration.as_deref().map(parse_calibration).transpose()?,
         sensor,

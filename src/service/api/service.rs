@@ -73,6 +73,9 @@ impl Service {
             locks.extend(LockFile::of_rig(&config)?);
         }
         let store = Store::open(&data_folder::database(&options.data), Clock::new(1.0)).await?;
+        if options.resume == AutoResume::Later {
+            store.leave_open_runs();
+        }
         let keys = KeyRing::load(store.clone()).await?;
         if !options.bind.ip().is_loopback() && keys.is_empty() {
             return Err(ServeError::NoKey(options.bind));

@@ -20,6 +20,8 @@ pub enum AutoResume {
     Allowed,
     /// No run resumes: a person starts each again.
     Off,
+    /// Nothing is decided: the runs stay as they are stored, for the next service. This one drives no rig.
+    Later,
 }
 
 /// Decision on open and waiting runs.

@@ -38,11 +38,14 @@ impl Conductor {
     /// in events what it does and what it cannot do.
     ///
     /// Until the run is driven again it keeps its state: if this process ends early, the next one
-    /// finds the same case.
+    /// finds the same case. With `AutoResume::Later` nothing is changed at all.
     ///
     /// # Errors
     /// `ConductorError` if the store fails, or the run cannot resume.
     pub async fn resume_after_restart(&self, resume: AutoResume) -> ConductorResult<()> {
+        if resume == AutoResume::Later {
+            return Ok(());
+        }
         let (TakenOver { driven, waiting, dropped }, since) = self.left_by_earlier(resume).await?;
         // In memory all of them, whatever the store does.
         self.dropped().extend(dropped.iter().map(|(run, why)| (run.uid, (*why).to_owned())));
@@ -304,6 +307,19 @@ mod tests {
         unasked(&mut inbox, taken).await.unwrap();
         assert_eq!(conductor.why_dropped(next.uid), Some(format!("{RUN_ABORTED}: start it again")));
         assert!(conductor.inner.store.waiting_runs().await.unwrap().is_empty());
+    }
+
+    #[tokio::test]
+    async fn a_service_that_drives_no_rig_leaves_the_runs_to_the_next_one() {
+        let (conductor, mut inbox, _folder) = conductor().await;
+        let [driven, next] = earlier(&conductor).await;
+        let taken = conductor.resume_after_restart(AutoResume::Later);
+        unasked(&mut inbox, taken).await.unwrap();
+        conductor.keep_stopped().await;
+        assert_eq!(conductor.present(&driven).await.unwrap().state, StoredState::Running);
+        let waiting = conductor.inner.store.waiting_runs().await.unwrap();
+        assert_eq!(waiting.iter().map(|run| run.uid).collect::<Vec<_>>(), [next.uid]);
+        assert_eq!(conductor.why_dropped(next.uid), None);
     }
 
     #[tokio::test]

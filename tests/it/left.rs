@@ -1,0 +1,73 @@
+//! A data folder whose run was killed, and where another run waits: what drives no rig leaves both to the next service.
+
+use std::path::Path;
+
+use serde_json::json;
+use sqlx::Connection;
+
+use crate::old_data::{copy, open};
+use crate::support::{
+    Folder, answered, command, database, done, execute, finished, http, is_refused, served,
+    succeeded,
+};
+
+/// A folder with a killed run, 2, that may resume automatically, and one that waits, 3.
+async fn killed(name: &str) -> Folder {
+    let folder = copy(name);
+    open(&folder).await.close().await;
+    let waits = "UPDATE runs SET waiting_since = '2026-11-20T18:00:00.000Z' WHERE scan_id = 3;";
+    execute(&folder, waits).await;
+    folder
+}
+
+/// The stored state of runs 2 and 3, and whether each waits for its turn.
+async fn stored(data: &Path) -> Vec<(String, i64)> {
+    let mut file = database(data).await;
+    let query =
+        "SELECT state, waiting_since IS NOT NULL FROM runs WHERE scan_id > 1 ORDER BY scan_id";
+    let found: Vec<(String, i64)> = sqlx::query_as(query).fetch_all(&mut file).await.unwrap();
+    file.close().await.unwrap();
+    found
+}
+
+/// What is stored of runs 2 and 3, as they were left.
+fn as_left() -> Vec<(String, i64)> {
+    vec![("running".to_owned(), 0), ("queued".to_owned(), 1)]
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_look_at_the_data_leaves_the_runs_to_the_next_service() {
+    let folder = killed("looked-at").await;
+    let data = folder.display().to_string();
+    let look = async |arguments: &[&str]| {
+        let mut look = command(arguments);
+        look.args(["--data", &data]);
+        finished(look).await
+    };
+    // What it shows is right: nothing drives the run.
+    let listed = done(&look(&["runs", "--state", "interrupted", "--json"]).await);
+    assert_eq!(listed["items"].as_array().unwrap().len(), 1, "{listed:#}");
+    let shown = succeeded(&look(&["show", "2"]).await);
+    assert!(shown.contains("interrupted"), "{shown}");
+    let queue = succeeded(&look(&["queue"]).await);
+    assert!(queue.contains("next"), "{queue}");
+    assert_eq!(stored(&folder).await, as_left());
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_service_without_a_rig_leaves_the_runs_until_a_person_holds_one() {
+    let folder = killed("at-a-desk").await;
+    let data = folder.display().to_string();
+    let mut serve = command(&["serve", "--desk", "--twin-workers", "0"]);
+    let (_service, url) = served(serve.args(["--bind", "127.0.0.1:0", "--data", &data]));
+    let (client, run) = (http(), format!("{url}/api/v1/runs/2"));
+    let (status, shown) = answered(client.get(&run)).await;
+    assert_eq!((status, &shown["state"]), (200, &json!("interrupted")), "{shown:#}");
+    assert_eq!(shown["is_resumable"], true);
+    assert_eq!(stored(&folder).await, as_left());
+    let pause = client.post(format!("{run}/actions")).json(&json!({ "action": "pause" }));
+    is_refused(answered(pause).await, 409, "run 2 is interrupted, not active");
+    // The next service drives none of them by itself.
+    let held = vec![("interrupted".to_owned(), 0), ("queued".to_owned(), 0)];
+    assert_eq!(stored(&folder).await, held);
+}
