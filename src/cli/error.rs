@@ -81,6 +81,8 @@ pub enum CliError {
         status: u16,
         /// Reason, as stated by the service.
         detail: String,
+        /// Whether the same request may succeed later, as the service stated (`Retry-After`).
+        again: bool,
     },
     /// A file could not be read or written.
     #[error("{path}: {}", io_words(source), path = path.display())]
@@ -247,7 +249,7 @@ impl From<DatasetError> for CliError {
         match error {
             DatasetError::Problems(problems) => Self::Problems(problems),
             DatasetError::File { path, source, .. } => Self::File { path, source },
-            error => Self::Refused { status: 400, detail: error.to_string() },
+            error => Self::Refused { status: 400, detail: error.to_string(), again: false },
         }
     }
 }
