@@ -152,6 +152,10 @@ pub enum CliError {
          check the rig, then run the command again"
     )]
     ConfirmedLate { rig: String, after_s: f64, limit_s: u64 },
+    #[error(
+        "standard output: {}; the command was carried out, but its answer is incomplete", io_words(.0)
+    )]
+    Unsaid(io::Error),
     #[error("interrupted before it was done")]
     Interrupted,
     #[error("ended by a signal: the next service resumes the training from its checkpoint")]

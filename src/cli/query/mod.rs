@@ -17,7 +17,7 @@ use super::At;
 use super::client::Client;
 use super::download::keep;
 use super::error::{CliError, CliResult};
-use super::output::{Output, bytes, counted, grouped, note, say, say_json};
+use super::output::{Output, bytes, counted, grouped, note, say, say_json, written};
 use super::progress::Working;
 use super::table::{Align, Table};
 use crate::dataset::format::Format;
@@ -183,8 +183,8 @@ async fn write(client: &Client, sql: &str, format: Format, out: Option<PathBuf>)
     }
     let (mut pieces, mut output) = (answer.bytes_stream(), std::io::stdout());
     while let Some(piece) = pieces.next().await {
-        // A closed pipe is no error.
-        if output.write_all(&piece?).and_then(|()| output.flush()).is_err() {
+        let piece = piece?;
+        if !written(output.write_all(&piece).and_then(|()| output.flush())) {
             break;
         }
     }
