@@ -270,7 +270,9 @@ pub enum Command {
     /// Emergency stop: every axis stops at once, until a reset.
     #[command(after_help = STOPS)]
     Estop(ask::ActArgs),
-    /// Show, take or release the operator lock, which blocks starting, never stopping.
+    /// Show the operator lock, take it with a NOTE, or release it with --clear.
+    ///
+    /// It blocks starting and editing, never stopping.
     Lock(access::LockArgs),
     /// Create, show and revoke keys of the API.
     Key(access::KeyArgs),
