@@ -1,12 +1,13 @@
 //! Output lines for people and for scripts, and numbers with units. All text for people passes through
 //! here: names and notes that other people entered must not control the terminal.
-//! Uses: `plain`, `error`, ratatui (widths). Never: HTTP, decisions. A closed standard output is not an error; another
-//! one, such as a full disk, is kept until the end of the command: one that drives a rig continues.
+//! Uses: `plain`, `error`, nix, ratatui (widths). Never: HTTP, decisions. A closed standard output is not an error;
+//! another failure, such as a full disk, is kept until the end of the command: one that drives a rig continues.
 
 use std::borrow::Cow;
 use std::fmt::Display;
 use std::io::{self, IsTerminal, Write};
 
+use nix::errno::Errno;
 use parking_lot::Mutex;
 use ratatui::text::Span;
 use serde::Serialize;
@@ -15,18 +16,28 @@ use super::error::{CliError, CliResult};
 use crate::plain::escaped_lines;
 pub use crate::plain::{bytes, counted, duration, grouped};
 
-/// First error of standard output, except a closed pipe.
+/// First error of standard output, except that of a closed pipe or terminal.
 static UNWRITTEN: Mutex<Option<io::Error>> = Mutex::new(None);
 
 /// Takes the outcome of a write on standard output; returns whether it succeeded. The command ends with its error, except
-/// with that of a closed pipe: its reader has what it wanted.
+/// with that of a closed pipe or terminal: its reader has what it wanted, or the command is detached.
 pub fn written(outcome: io::Result<()>) -> bool {
-    kept(outcome, &UNWRITTEN)
+    let is_file = || std::fs::metadata("/proc/self/fd/1").is_ok_and(|found| found.is_file());
+    kept(outcome, &UNWRITTEN, is_file)
 }
 
-fn kept(outcome: io::Result<()>, first: &Mutex<Option<io::Error>>) -> bool {
+fn kept(
+    outcome: io::Result<()>,
+    first: &Mutex<Option<io::Error>>,
+    is_file: impl FnOnce() -> bool,
+) -> bool {
     let Err(error) = outcome else { return true };
-    if error.kind() != io::ErrorKind::BrokenPipe {
+    let is_closed = match error.raw_os_error() {
+        // A terminal that was closed answers so; but so does a disk that fails.
+        Some(number) if number == Errno::EIO as i32 => !is_file(),
+        _ => error.kind() == io::ErrorKind::BrokenPipe,
+    };
+    if !is_closed {
         first.lock().get_or_insert(error);
     }
     false
@@ -238,12 +249,17 @@ mod tests {
     #[test]
     fn an_error_of_standard_output_is_kept_unless_its_reader_has_gone() {
         let first = Mutex::new(None);
-        assert!(kept(Ok(()), &first));
-        assert!(!kept(Err(io::ErrorKind::BrokenPipe.into()), &first));
+        assert!(kept(Ok(()), &first, || true));
+        let closed = || io::Error::from_raw_os_error(Errno::EIO as i32);
+        for gone in [io::ErrorKind::BrokenPipe.into(), closed()] {
+            assert!(!kept(Err(gone), &first, || false));
+        }
         assert!(first.lock().is_none());
+        kept(Err(closed()), &first, || true);
+        assert!(first.lock().take().is_some(), "a disk that fails");
         let full = writeln!(std::fs::File::create("/dev/full").unwrap(), "a line");
-        assert!(!kept(full, &first));
-        kept(Err(io::ErrorKind::PermissionDenied.into()), &first);
+        assert!(!kept(full, &first, || false));
+        kept(Err(io::ErrorKind::PermissionDenied.into()), &first, || true);
         let words = CliError::Unsaid(first.lock().take().unwrap()).to_string();
         assert!(words.starts_with("standard output: no space is left on this disk;"), "{words}");
     }
