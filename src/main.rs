@@ -87,9 +87,9 @@ fn main() -> ExitCode {
         Command::Completions { shell } => {
             let mut text = Vec::new();
             clap_complete::generate(shell, &mut CommandLine::command(), "palpate", &mut text);
-            // Only a closed pipe refuses it.
-            let _ = io::stdout().write_all(&text);
-            ExitCode::SUCCESS
+            let mut out = io::stdout();
+            cli::written(out.write_all(&text).and_then(|()| out.flush()));
+            cli::said(ExitCode::SUCCESS, output)
         }
         Command::Man { folder } => ended(write_manual(&folder)),
         Command::VirtualRig(args) => match args.complete() {
@@ -126,12 +126,13 @@ fn parsed() -> Result<(CommandLine, cli::Output), ExitCode> {
             || error.kind() == ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand;
         let json = std::env::args().any(|word| word == "--json");
         match is_help {
-            // A closed pipe is no error.
-            true => drop(error.print()),
+            true => {
+                cli::written(error.print().and_then(|()| io::stdout().flush()));
+            }
             false if json => cli::report_usage(&error, cli::Output::Json),
             false => cli::report_usage(&error, cli::Output::Text),
         }
-        ExitCode::from(u8::try_from(error.exit_code()).unwrap_or(2))
+        cli::said(ExitCode::from(u8::try_from(error.exit_code()).unwrap_or(2)), cli::Output::Text)
     })
 }
 

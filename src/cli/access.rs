@@ -20,7 +20,7 @@ use crate::store::{KeyRow, LockRow, Role};
 #[derive(Debug, Clone, Args)]
 pub struct LockArgs {
     /// Take the lock with this note; without it the lock is shown.
-    #[arg(conflicts_with = "clear")]
+    #[arg(conflicts_with = "clear", value_parser = note_of)]
     pub note: Option<String>,
     /// Release the lock.
     #[arg(long)]
@@ -59,6 +59,21 @@ pub enum KeyCommand {
         /// Number of the key.
         id: i64,
     },
+}
+
+/// Words for which the lock is not taken: who types one of them wants something else of it.
+const NO_NOTES: [&str; 8] =
+    ["release", "clear", "remove", "free", "unlock", "delete", "show", "status"];
+
+/// Reads the note of a lock.
+fn note_of(text: &str) -> Result<String, String> {
+    if NO_NOTES.contains(&text.trim().to_lowercase().as_str()) {
+        let limit = "would be the note of a lock that is taken";
+        return Err(format!(
+            "{limit}; `palpate lock --clear` releases the lock, `palpate lock` shows it"
+        ));
+    }
+    Ok(text.to_owned())
 }
 
 /// Parser of the name of a role; the help lists the roles.
@@ -226,5 +241,26 @@ impl People {
                 false => Err(CliError::argument("key", id, "is not the number of a valid key")),
             },
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_word_for_a_release_does_not_take_the_lock() {
+        let read = |word: &str| {
+            let line = LockArgs::augment_args(clap::Command::new("lock"));
+            line.try_get_matches_from(["lock", word]).map_err(|error| error.to_string())
+        };
+        for word in ["release", "clear", "remove", "free", "Unlock", " show "] {
+            let refused = read(word).unwrap_err();
+            assert!(refused.contains("`palpate lock --clear` releases the lock"), "{refused}");
+        }
+        assert!(read("--clear").is_ok());
+        let taken = read("release the weights at eight").unwrap();
+        let note = taken.get_one::<String>("note").map(String::as_str);
+        assert_eq!(note, Some("release the weights at eight"));
     }
 }

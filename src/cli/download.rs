@@ -72,7 +72,7 @@ pub async fn download_whole(
     let found = file.sha256();
     if found != whole.sha256 {
         let detail = format!("the downloaded file has the sha256 {found}");
-        return Err(CliError::Refused { status: 500, detail });
+        return Err(CliError::Refused { status: 500, detail, again: false });
     }
     finish(file, out).map(drop)
 }

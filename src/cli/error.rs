@@ -81,6 +81,8 @@ pub enum CliError {
         status: u16,
         /// Reason, as stated by the service.
         detail: String,
+        /// Whether the same request may succeed later, as the service stated (`Retry-After`).
+        again: bool,
     },
     /// A file could not be read or written.
     #[error("{path}: {}", io_words(source), path = path.display())]
@@ -150,6 +152,10 @@ pub enum CliError {
          check the rig, then run the command again"
     )]
     ConfirmedLate { rig: String, after_s: f64, limit_s: u64 },
+    #[error(
+        "standard output: {}; the command was carried out, but its answer is incomplete", io_words(.0)
+    )]
+    Unsaid(io::Error),
     #[error("interrupted before it was done")]
     Interrupted,
     #[error("ended by a signal: the next service resumes the training from its checkpoint")]
@@ -247,7 +253,7 @@ impl From<DatasetError> for CliError {
         match error {
             DatasetError::Problems(problems) => Self::Problems(problems),
             DatasetError::File { path, source, .. } => Self::File { path, source },
-            error => Self::Refused { status: 400, detail: error.to_string() },
+            error => Self::Refused { status: 400, detail: error.to_string(), again: false },
         }
     }
 }

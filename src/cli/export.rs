@@ -112,7 +112,7 @@ async fn follow(client: &Client, asked: ExportOut) -> CliResult<ExportOut> {
             }
             TaskState::Failed | TaskState::Stopped => {
                 let detail = now.error.unwrap_or_default();
-                return Err(CliError::Refused { status: 409, detail });
+                return Err(CliError::Refused { status: 409, detail, again: false });
             }
             TaskState::Waiting | TaskState::Running => tokio::time::sleep(EXPORT_POLL).await,
         }

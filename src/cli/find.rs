@@ -47,9 +47,9 @@ pub async fn find_run(client: &Client, text: &str) -> CliResult<RunRow> {
     let wrong = |limit: String| CliError::argument("RUN", text, limit);
     match named(text) {
         Some(Named::Whole(id)) => client.run(id).await.map_err(|error| match error {
-            CliError::Refused { status: status @ 404, detail } => {
+            CliError::Refused { status: status @ 404, detail, again } => {
                 let detail = format!("{detail}: palpate runs lists all");
-                CliError::Refused { status, detail }
+                CliError::Refused { status, detail, again }
             }
             error => error,
         }),

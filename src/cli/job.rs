@@ -91,7 +91,7 @@ impl JobScreen {
             TaskState::Failed | TaskState::Stopped => {
                 let stopped = "it was stopped; the same command resumes it from its checkpoint";
                 let detail = now.task.error.clone().unwrap_or_else(|| stopped.into());
-                Err(CliError::Refused { status: 409, detail })
+                Err(CliError::Refused { status: 409, detail, again: false })
             }
         }
     }

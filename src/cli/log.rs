@@ -12,7 +12,7 @@ use std::time::{Duration, Instant};
 use clap::Args;
 use parking_lot::Mutex;
 use tracing::Dispatch;
-use tracing_appender::rolling::{InitError, RollingFileAppender, Rotation};
+use tracing_appender::rolling::{RollingFileAppender, Rotation};
 use tracing_subscriber::filter::{LevelFilter, Targets};
 use tracing_subscriber::fmt::MakeWriter;
 use tracing_subscriber::layer::SubscriberExt;
@@ -171,14 +171,18 @@ fn levels(wanted: &str) -> Result<Targets, String> {
 }
 
 /// A file for each day.
-fn daily(path: &Path) -> Result<RollingFileAppender, InitError> {
+fn daily(path: &Path) -> io::Result<RollingFileAppender> {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
+    let folder = folder.unwrap_or(Path::new("."));
+    // The library looks for old files first, and prints an error if there is no folder.
+    std::fs::create_dir_all(folder)?;
     RollingFileAppender::builder()
         .rotation(Rotation::DAILY)
         .filename_prefix(name)
         .max_log_files(DAYS_KEPT)
-        .build(folder.unwrap_or(Path::new(".")))
+        .build(folder)
+        .map_err(io::Error::other)
 }
 
 /// Writes lines until the end, to the file or else to standard error; reports lost ones.
@@ -407,6 +411,15 @@ mod tests {
         let entry = std::fs::read_dir(&folder).unwrap().next().unwrap().unwrap();
         assert!(entry.file_name().to_string_lossy().starts_with("palpate.log.2"));
         assert_eq!(std::fs::read_to_string(entry.path()).unwrap(), "a line\n");
+    }
+
+    #[test]
+    fn a_log_in_a_folder_that_cannot_be_made_is_refused_before_it_starts() {
+        let temporary = tempfile::tempdir().unwrap();
+        let file = temporary.path().join("file");
+        std::fs::write(&file, "").unwrap();
+        let refused = daily(&file.join("logs").join("palpate.log")).unwrap_err();
+        assert_eq!(refused.kind(), io::ErrorKind::NotADirectory);
     }
 
     #[test]

@@ -90,7 +90,7 @@ pub use error::CliError;
 use error::CliResult;
 use files::{DEFAULT_GAP, DEFAULT_RIG, DEFAULT_SENSOR};
 pub use files::{DEFAULT_SKIN_SEED, fault_script};
-pub use output::Output;
+pub use output::{Output, written};
 
 pub use crate::plain::in_plain_words;
 
@@ -270,7 +270,9 @@ pub enum Command {
     /// Emergency stop: every axis stops at once, until a reset.
     #[command(after_help = STOPS)]
     Estop(ask::ActArgs),
-    /// Show, take or release the operator lock, which blocks starting, never stopping.
+    /// Show the operator lock, take it with a NOTE, or release it with --clear.
+    ///
+    /// It blocks starting and editing, never stopping.
     Lock(access::LockArgs),
     /// Create, show and revoke keys of the API.
     Key(access::KeyArgs),
@@ -298,10 +300,21 @@ pub enum Command {
 /// Runs a command. Errors are printed on standard error in this form; the exit code is 0, 1, or 2 for bad
 /// input.
 pub fn main(command: Command, output: Output) -> ExitCode {
-    on_runtime(command).unwrap_or_else(|error| {
-        drawn::report(&error, output);
-        error.exit_code()
-    })
+    match on_runtime(command) {
+        Ok(code) => said(code, output),
+        Err(error) => failed(&error, output),
+    }
+}
+
+/// The exit code of a command that has printed its answer: another one, with an error, if standard output did not take
+/// it. A closed pipe is no error.
+pub fn said(code: ExitCode, output: Output) -> ExitCode {
+    output::all_said().map_or_else(|error| failed(&error, output), |()| code)
+}
+
+fn failed(error: &CliError, output: Output) -> ExitCode {
+    drawn::report(error, output);
+    error.exit_code()
 }
 
 fn on_runtime(command: Command) -> CliResult<ExitCode> {

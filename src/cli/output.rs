@@ -1,16 +1,55 @@
 //! Output lines for people and for scripts, and numbers with units. All text for people passes through
 //! here: names and notes that other people entered must not control the terminal.
-//! Uses: `plain`, ratatui (widths). Never: HTTP, decisions. A closed standard output is not an error.
+//! Uses: `plain`, `error`, nix, ratatui (widths). Never: HTTP, decisions. A closed standard output is not an error;
+//! another failure, such as a full disk, is kept until the end of the command: one that drives a rig continues.
 
 use std::borrow::Cow;
 use std::fmt::Display;
 use std::io::{self, IsTerminal, Write};
 
+use nix::errno::Errno;
+use parking_lot::Mutex;
 use ratatui::text::Span;
 use serde::Serialize;
 
+use super::error::{CliError, CliResult};
 use crate::plain::escaped_lines;
 pub use crate::plain::{bytes, counted, duration, grouped};
+
+/// First error of standard output, except that of a closed pipe or terminal.
+static UNWRITTEN: Mutex<Option<io::Error>> = Mutex::new(None);
+
+/// Takes the outcome of a write on standard output; returns whether it succeeded. The command ends with its error, except
+/// with that of a closed pipe or terminal: its reader has what it wanted, or the command is detached.
+pub fn written(outcome: io::Result<()>) -> bool {
+    let is_file = || std::fs::metadata("/proc/self/fd/1").is_ok_and(|found| found.is_file());
+    kept(outcome, &UNWRITTEN, is_file)
+}
+
+fn kept(
+    outcome: io::Result<()>,
+    first: &Mutex<Option<io::Error>>,
+    is_file: impl FnOnce() -> bool,
+) -> bool {
+    let Err(error) = outcome else { return true };
+    let is_closed = match error.raw_os_error() {
+        // A terminal that was closed answers so; but so does a disk that fails.
+        Some(number) if number == Errno::EIO as i32 => !is_file(),
+        _ => error.kind() == io::ErrorKind::BrokenPipe,
+    };
+    if !is_closed {
+        first.lock().get_or_insert(error);
+    }
+    false
+}
+
+/// Checks, at the end of a command, that standard output has taken what was printed.
+///
+/// # Errors
+/// `CliError::Unsaid` with the first error of a write, such as that of a full disk.
+pub fn all_said() -> CliResult<()> {
+    UNWRITTEN.lock().take().map_or(Ok(()), |error| Err(CliError::Unsaid(error)))
+}
 
 /// Form of what a command prints.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -41,12 +80,12 @@ impl Output {
 
 /// Prints one or several lines on standard output; on a terminal wrapped to its width.
 pub fn say(text: impl Display) {
-    let _ = writeln!(io::stdout().lock(), "{}", fitted(&shown(text), terminal_width()));
+    written(writeln!(io::stdout().lock(), "{}", fitted(&shown(text), terminal_width())));
 }
 
 /// Prints a text that is copied or read by programs, such as a file, on standard output: its lines stay whole.
 pub fn say_whole(text: impl Display) {
-    let _ = writeln!(io::stdout().lock(), "{}", shown(text));
+    written(writeln!(io::stdout().lock(), "{}", shown(text)));
 }
 
 /// Prints one or several lines on standard error; on a terminal wrapped to its width.
@@ -101,7 +140,7 @@ pub fn ask(question: impl Display) {
 /// Prints what this program drew, with its colours, on standard output. Never foreign text: its control
 /// characters reach the terminal.
 pub fn say_drawn(picture: &str) {
-    let _ = writeln!(io::stdout().lock(), "{picture}");
+    written(writeln!(io::stdout().lock(), "{picture}"));
 }
 
 /// Wraps every line of a text at spaces. A default or variable in brackets stays in one line.
@@ -197,7 +236,7 @@ pub fn say_json(value: &impl Serialize) {
     match serde_json::to_string(value) {
         Ok(line) => {
             let mut out = io::stdout().lock();
-            let _ = writeln!(out, "{line}").and_then(|()| out.flush());
+            written(writeln!(out, "{line}").and_then(|()| out.flush()));
         }
         Err(error) => tracing::error!(%error, "an answer could not be written as JSON"),
     }
@@ -206,6 +245,24 @@ pub fn say_json(value: &impl Serialize) {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn an_error_of_standard_output_is_kept_unless_its_reader_has_gone() {
+        let first = Mutex::new(None);
+        assert!(kept(Ok(()), &first, || true));
+        let closed = || io::Error::from_raw_os_error(Errno::EIO as i32);
+        for gone in [io::ErrorKind::BrokenPipe.into(), closed()] {
+            assert!(!kept(Err(gone), &first, || false));
+        }
+        assert!(first.lock().is_none());
+        kept(Err(closed()), &first, || true);
+        assert!(first.lock().take().is_some(), "a disk that fails");
+        let full = writeln!(std::fs::File::create("/dev/full").unwrap(), "a line");
+        assert!(!kept(full, &first, || false));
+        kept(Err(io::ErrorKind::PermissionDenied.into()), &first, || true);
+        let words = CliError::Unsaid(first.lock().take().unwrap()).to_string();
+        assert!(words.starts_with("standard output: no space is left on this disk;"), "{words}");
+    }
 
     #[test]
     fn a_name_cannot_control_the_terminal() {

@@ -115,6 +115,12 @@ async fn a_run_and_a_trial_are_drawn_as_plain_text_without_a_terminal(lab: &Fill
         assert!(run.contains(part), "{part}: {run}");
     }
     assert!(run.lines().all(|line| line.chars().count() <= 110), "{run}");
+    let Output { stderr, .. } = command(&url, &["show", "1"]).output().unwrap();
+    let next = String::from_utf8(stderr).unwrap();
+    let touched = told(&url, &["trials", "1", "contact_count__gt=0"])["items"].clone();
+    let fvu = |trial: &&Value| trial["fvu"].as_f64().unwrap();
+    let worst = touched.as_array().unwrap().iter().max_by(|a, b| fvu(a).total_cmp(&fvu(b)));
+    assert!(next.contains(&format!("palpate show t{} ", worst.unwrap()["trial_id"])), "{next}");
     let trial = told(&url, &["trials", "1", "--limit", "1"])["items"][0].clone();
     let id = format!("t{}", trial["trial_id"]);
     let key = format!("1/{}/{}", trial["configuration"], trial["depth_index"]);

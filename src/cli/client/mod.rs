@@ -261,7 +261,8 @@ impl Client {
             tungstenite::Error::Http(answer) => {
                 let body = answer.body().as_deref().unwrap_or_default();
                 let body = serde_json::from_slice(body).unwrap_or_default();
-                refusal(&format!("GET {path}"), answer.status().as_u16(), &body)
+                let again = answer.headers().contains_key("retry-after");
+                refusal(&format!("GET {path}"), answer.status().as_u16(), again, &body)
             }
             tungstenite::Error::Io(ref error) => self
                 .untrusted(error)
@@ -325,8 +326,9 @@ impl Client {
             return Ok(answer);
         }
         let status = answer.status().as_u16();
+        let again = answer.headers().contains_key(header::RETRY_AFTER);
         let body: Value = answer.json().await.unwrap_or_default();
-        Err(refusal(&operation, status, &body))
+        Err(refusal(&operation, status, again, &body))
     }
 
     /// The error of a service whose certificate is not trusted, if this is the cause.
@@ -356,8 +358,9 @@ pub fn text_of(field: &Value) -> String {
     field.as_str().unwrap_or_default().to_owned()
 }
 
-/// Converts a problem body to an error: values outside their limits are bad input.
-fn refusal(operation: &str, status: u16, body: &Value) -> CliError {
+/// Converts a problem body to an error: values outside their limits are bad input. `again`: the service stated when the
+/// request may be sent again.
+fn refusal(operation: &str, status: u16, again: bool, body: &Value) -> CliError {
     tracing::debug!(operation, status, "the service refused a request");
     // The service may have read another text, a recipe with changes: its places are not those of the file.
     let problems = Vec::<Problem>::deserialize(&body["errors"]).unwrap_or_default();
@@ -370,7 +373,7 @@ fn refusal(operation: &str, status: u16, body: &Value) -> CliError {
         (_, Some(title)) => title.into(),
         _ => format!("refused with status {status}"),
     };
-    CliError::Refused { status, detail }
+    CliError::Refused { status, detail, again }
 }
 
 #[cfg(test)]
@@ -384,12 +387,12 @@ mod tests {
         let body = json!({ "title": "x", "errors": [
             { "file": "e.toml", "key": "seed", "value": "-1", "limit": "must be 0 or more" },
         ]});
-        let error = refusal("POST /q", 422, &body);
+        let error = refusal("POST /q", 422, false, &body);
         assert_eq!(error.to_string(), "e.toml: seed = -1: must be 0 or more");
         let body = json!({ "title": "Conflict", "detail": "run 3 is ended" });
-        let error = refusal("POST /q", 409, &body);
+        let error = refusal("POST /q", 409, false, &body);
         assert_eq!(error.to_string(), "run 3 is ended");
-        let error = refusal("POST /q", 502, &Value::Null);
+        let error = refusal("POST /q", 502, false, &Value::Null);
         assert!(error.to_string().contains("502"));
     }
 

@@ -132,8 +132,8 @@ pub async fn store(
 /// A refusal, with the chunk that it concerns.
 fn of_chunk(index: u64, error: CliError) -> CliError {
     match error {
-        CliError::Refused { status, detail } => {
-            CliError::Refused { status, detail: format!("chunk {index}: {detail}") }
+        CliError::Refused { status, detail, again } => {
+            CliError::Refused { status, detail: format!("chunk {index}: {detail}"), again }
         }
         other => other,
     }

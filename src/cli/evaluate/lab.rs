@@ -352,6 +352,7 @@ impl Lab for ServiceLab {
         report.map_err(|error| CliError::Refused {
             status: 500,
             detail: format!("its report cannot be read: {error}"),
+            again: false,
         })
     }
 

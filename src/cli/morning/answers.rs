@@ -83,23 +83,58 @@ pub async fn fit_of(client: &Client, run: RunUid) -> CliResult<(TwinsOf, Simulat
 /// # Errors
 /// As [`Client::send`]; `CliError::Refused` if a line cannot be read.
 pub async fn all_trials(client: &Client, run: RunUid, expected: u64) -> CliResult<Vec<TrialFacts>> {
-    let client = client.quiet();
     let mut shown = Counted::of("trials read", expected);
+    let select = format!("columns={TRIAL_COLUMNS}");
+    trials(&client.quiet(), run, &select, |count| shown.show(count, expected)).await
+}
+
+/// Returns the trial with contacts of the largest FVU, with its number and FVU only; `None` without one. `fit`: the
+/// report of the run. To sort all trials by their FVU needs the query engine, which may be missing.
+///
+/// # Errors
+/// As [`all_trials`].
+pub async fn worst_fit(
+    client: &Client,
+    run: RunUid,
+    fit: &SimulationReport,
+) -> CliResult<Option<TrialFacts>> {
+    let Some(least) = worst_at_least(fit) else { return Ok(None) };
+    let select = format!("columns=trial_id,fvu&contact_count__gt=0&fvu__gte={least}");
+    let found = trials(client, run, &select, |_| ()).await?;
+    let fvu = |trial: &TrialFacts| trial.fvu.unwrap_or(f64::NEG_INFINITY);
+    Ok(found.into_iter().max_by(|a, b| fvu(a).total_cmp(&fvu(b))))
+}
+
+/// The largest FVU of a trial with contacts is at least the largest mean of a bin of forces: few trials reach it.
+fn worst_at_least(fit: &SimulationReport) -> Option<f64> {
+    let bins = fit.by_force.iter().filter(|bin| bin.contacts.is_some_and(|count| count > 0));
+    let largest = bins.map(|bin| bin.mean_fvu).max_by(f64::total_cmp)?;
+    // A mean may be rounded above the values of which it is.
+    Some(largest * (1.0 - 1e-9))
+}
+
+/// Returns the trials of a run that these parameters select, in the order of storing. `seen` receives their number.
+async fn trials(
+    client: &Client,
+    run: RunUid,
+    select: &str,
+    mut seen: impl FnMut(u64),
+) -> CliResult<Vec<TrialFacts>> {
     let (mut all, mut last) = (Vec::new(), 0);
     loop {
         let path = format!(
-            "/api/v1/runs/{run}/trials?format=ndjson&columns={TRIAL_COLUMNS}&trial_id__gt={last}&limit={MAX_PAGE}"
+            "/api/v1/runs/{run}/trials?format=ndjson&{select}&trial_id__gt={last}&limit={MAX_PAGE}"
         );
         let text = client.text(&path).await?;
         let before = all.len();
         for line in text.lines().filter(|line| !line.is_empty()) {
             let trial: TrialFacts = serde_json::from_str(line).map_err(|error| {
                 let detail = format!("a trial cannot be read: {error}");
-                CliError::Refused { status: 200, detail }
+                CliError::Refused { status: 200, detail, again: false }
             })?;
             all.push(trial);
         }
-        shown.show(all.len() as u64, expected);
+        seen(all.len() as u64);
         match all.last() {
             Some(trial) if all.len() - before == MAX_PAGE as usize => last = trial.trial_id,
             _ => return Ok(all),
@@ -169,6 +204,40 @@ pub fn stored_words(stored: u64, planned: u64) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::cli::repeat::tests::answers;
+    use crate::evaluate::simulation::report;
+    use crate::ids::TrialId;
+    use crate::store::Fit;
+
+    fn of_force(trial: i64, contact_count: u8, force_n: f64, fvu: f64) -> Fit {
+        Fit {
+            trial: TrialId(trial),
+            tips: 1,
+            contact_count,
+            max_force_n: Some(force_n),
+            single_tip_mm: None,
+            flagged: false,
+            rmse_v: 0.001,
+            fvu: Some(fvu),
+        }
+    }
+
+    #[tokio::test]
+    async fn the_worst_fit_is_found_among_few_trials_and_without_the_query_engine() {
+        let fits = [(1, 0, 0.2, 7.0), (2, 1, 2.2, 0.5), (3, 1, 2.4, 1.5), (4, 2, 9.0, 0.1)];
+        let fit = report(&fits.map(|(trial, contacts, n, fvu)| of_force(trial, contacts, n, fvu)));
+        let least = worst_at_least(&fit).unwrap();
+        assert!(least <= 1.0 && least > 0.999, "the mean of 0.5 and 1.5: {least}");
+        let lines = "{\"trial_id\":3,\"fvu\":1.5}\n{\"trial_id\":9,\"fvu\":1.2}\n";
+        let head = "HTTP/1.1 200 OK\r\nconnection: close\r\ncontent-length";
+        let (url, heard) = answers(vec![format!("{head}: {}\r\n\r\n{lines}", lines.len())]).await;
+        let client = Client::new(&url, None, None).unwrap();
+        let worst = worst_fit(&client, RunUid::new(), &fit).await.unwrap().unwrap();
+        assert_eq!((worst.trial_id, worst.fvu), (3, Some(1.5)));
+        let asked = heard.await.unwrap().remove(0);
+        assert!(asked.contains("fvu__gte=0.999") && !asked.contains("sort="), "{asked}");
+        assert_eq!(worst_at_least(&report(&[])), None);
+    }
 
     #[test]
     fn an_import_has_no_plan() {

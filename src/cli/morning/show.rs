@@ -3,11 +3,10 @@
 
 use jiff::Timestamp;
 use ratatui::layout::Rect;
-use serde::Deserialize;
 use serde_json::json;
 
 use super::answers::{
-    TwinsOf, duration_words, elapsed, fit_of, settings_words, state_words, stored_words,
+    TwinsOf, duration_words, elapsed, fit_of, settings_words, state_words, stored_words, worst_fit,
 };
 use super::chart::{forces, picture, width};
 use super::{ShowArgs, history, raw, show_trial};
@@ -50,13 +49,6 @@ pub async fn show(client: &Client, args: &ShowArgs) -> CliResult<()> {
     }
 }
 
-/// The trial with contacts whose twin fits worst.
-#[derive(Debug, Deserialize)]
-struct WorstFit {
-    trial_id: i64,
-    fvu: f64,
-}
-
 async fn run(client: &Client, args: &ShowArgs) -> CliResult<()> {
     let found = find_run(client, &args.what).await?;
     let path = format!("/api/v1/runs/{}", found.uid);
@@ -77,8 +69,7 @@ async fn run(client: &Client, args: &ShowArgs) -> CliResult<()> {
     // The largest forces of all trials over depth.
     let mut curve: Vec<ForcesAtDepth> = client.all(&format!("{path}/forces?")).await?;
     curve.retain(|at| at.tips.is_none());
-    let worst_first = format!("{path}/trials?contact_count__gt=0&fvu__gte=0&sort=-fvu");
-    let (worst, _) = client.first::<WorstFit>(&worst_first, 1).await?;
+    let worst = worst_fit(client, found.uid, &fit).await?;
     let night = Night { run: Some(found.uid), skin, tour, progress, ..Night::new(client.url()) };
     say(facts(&summary, twins, median_fvu, &night));
     if let Some(contacts) = counts(&summary.contact_counts) {
@@ -93,7 +84,7 @@ async fn run(client: &Client, args: &ShowArgs) -> CliResult<()> {
     let mut next = Next::of(&args.at)
         .suggest(format_args!("palpate report {run}"), "all of it as HTML and PDF")
         .suggest(format_args!("palpate trials {run}"), "its trials");
-    for WorstFit { trial_id, fvu } in worst {
+    if let Some((trial_id, fvu)) = worst.and_then(|trial| Some((trial.trial_id, trial.fvu?))) {
         next = next.suggest(
             format_args!("palpate show t{trial_id}"),
             format_args!("the trial with the largest FVU, {fvu:.2}"),

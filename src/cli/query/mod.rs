@@ -17,7 +17,7 @@ use super::At;
 use super::client::Client;
 use super::download::keep;
 use super::error::{CliError, CliResult};
-use super::output::{Output, bytes, counted, grouped, note, say, say_json};
+use super::output::{Output, bytes, counted, grouped, note, say, say_json, written};
 use super::progress::Working;
 use super::table::{Align, Table};
 use crate::dataset::format::Format;
@@ -135,7 +135,7 @@ async fn tables(client: &Client, output: Output) -> CliResult<()> {
     Ok(())
 }
 
-/// Asks a statement; waits while the engine is built.
+/// Asks a statement; waits while the engine is built, or other queries are in progress.
 ///
 /// # Errors
 /// `CliError` if the service refuses the statement, or cannot be reached.
@@ -149,7 +149,10 @@ async fn send(client: &Client, body: &Value) -> CliResult<reqwest::Response> {
     let until = Instant::now() + ENGINE_WAIT;
     loop {
         match client.send(Method::POST, "/api/v1/query", Some(body)).await {
-            Err(CliError::Refused { status: 503, detail, .. }) if Instant::now() < until => {
+            // Without an engine the service does not say so: to ask again is in vain.
+            Err(CliError::Refused { status: 503, detail, again: true })
+                if Instant::now() < until =>
+            {
                 if building.is_none() {
                     building = Some(Working::on(&detail));
                 }
@@ -180,8 +183,8 @@ async fn write(client: &Client, sql: &str, format: Format, out: Option<PathBuf>)
     }
     let (mut pieces, mut output) = (answer.bytes_stream(), std::io::stdout());
     while let Some(piece) = pieces.next().await {
-        // A closed pipe is no error.
-        if output.write_all(&piece?).and_then(|()| output.flush()).is_err() {
+        let piece = piece?;
+        if !written(output.write_all(&piece).and_then(|()| output.flush())) {
             break;
         }
     }
@@ -239,6 +242,25 @@ fn cell(value: Option<&Value>) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::cli::repeat::tests::answers;
+
+    /// A refusal with status 503, with a further header.
+    fn refused(header: &str, detail: &str) -> String {
+        let body = json!({ "detail": detail }).to_string();
+        let head = "HTTP/1.1 503 Service Unavailable\r\nconnection: close\r\ncontent-type: application/json";
+        format!("{head}\r\n{header}content-length: {}\r\n\r\n{body}", body.len())
+    }
+
+    #[tokio::test]
+    async fn a_missing_engine_is_an_error_at_once_and_one_that_is_built_is_waited_for() {
+        let building = refused("retry-after: 5\r\n", "the query engine is built first");
+        let missing = refused("", "no palpate-query");
+        let (url, heard) = answers(vec![building, missing]).await;
+        let client = Client::new(&url, None, None).unwrap();
+        let error = ask::<Value>(&client, "SELECT 1").await.unwrap_err();
+        assert_eq!(error.to_string(), "no palpate-query");
+        assert_eq!(heard.await.unwrap().len(), 2);
+    }
 
     #[test]
     fn the_ending_of_a_file_names_a_format_of_rows() {

@@ -5,7 +5,7 @@
 use std::time::Instant;
 
 use axum::extract::{MatchedPath, Request};
-use axum::http::{HeaderMap, HeaderValue, Method};
+use axum::http::{HeaderMap, HeaderValue, Method, header};
 use axum::middleware::Next;
 use axum::response::Response;
 use tracing::{Instrument, Span, error_span, field};
@@ -62,8 +62,8 @@ impl RequestId {
 }
 
 /// Handles a request in its span, and logs its status and duration: failures of the service as
-/// warnings, requests that change something as information, others for debugging. A streamed body
-/// gets the span as an extension of its response.
+/// warnings, requests that change something as information, others for debugging. A request that is to be
+/// sent again later is no failure. A streamed body gets the span as an extension of its response.
 pub async fn follow(request: Request, next: Next) -> Response {
     let began = Instant::now();
     let id = RequestId::of(request.headers());
@@ -82,7 +82,7 @@ pub async fn follow(request: Request, next: Next) -> Response {
 fn log_end(response: &Response, reads: bool, began: Instant) {
     let status = response.status().as_u16();
     let duration_ms = began.elapsed().as_secs_f64() * 1e3;
-    if response.status().is_server_error() {
+    if is_failure(response) {
         tracing::warn!(status, duration_ms, "a request failed");
     } else if reads {
         tracing::debug!(status, duration_ms, "a request was answered");
@@ -91,12 +91,19 @@ fn log_end(response: &Response, reads: bool, began: Instant) {
     }
 }
 
+/// Whether the service failed: not if it states when the request may be sent again, as while the query engine is built.
+fn is_failure(response: &Response) -> bool {
+    response.status().is_server_error() && !response.headers().contains_key(header::RETRY_AFTER)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
     use axum::Router;
     use axum::body::Body;
+    use axum::http::StatusCode;
     use axum::middleware::from_fn;
+    use axum::response::IntoResponse;
     use axum::routing::get;
     use tower_service::Service;
 
@@ -121,6 +128,14 @@ mod tests {
         assert_ne!(answered_id(None).await, made);
         assert_eq!(answered_id(Some("night-7/2")).await, "night-7/2");
         assert_eq!(answered_id(Some(&"x".repeat(64))).await, "x".repeat(64));
+    }
+
+    #[test]
+    fn a_request_that_is_to_be_sent_again_is_no_failure() {
+        let later = (StatusCode::SERVICE_UNAVAILABLE, [(header::RETRY_AFTER, "5")]).into_response();
+        assert!(!is_failure(&later));
+        assert!(is_failure(&StatusCode::SERVICE_UNAVAILABLE.into_response()));
+        assert!(!is_failure(&StatusCode::CONFLICT.into_response()));
     }
 
     #[tokio::test]
