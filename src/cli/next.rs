@@ -58,7 +58,7 @@ impl Next {
 
     /// The commands, each with what it does next to it, or below it if that needs more columns than the `terminal` has.
     /// A command is not wrapped: it is copied.
-    fn text(&self, terminal: Option<usize>) -> String {
+    pub fn text(&self, terminal: Option<usize>) -> String {
         let widest =
             |part: usize| self.lines.iter().map(|line| columns(&line[part])).max().unwrap_or(0);
         let width = widest(0) + 3;

@@ -111,7 +111,7 @@ pub async fn run(args: RunArgs) -> CliResult<ExitCode> {
         }
     };
     let Some(closing) = closing else {
-        detached(&client, run.scan_id, run.uid, process, output);
+        detached(&client, run.scan_id, run.uid, process, output).await;
         return Ok(ExitCode::SUCCESS);
     };
     let url = process.is_none().then(|| client.url());
