@@ -23,6 +23,7 @@ use super::signals::Signals;
 use super::summary::Closing;
 use super::view::{PreflightView, StatusView};
 use super::{At, embed};
+use crate::api::ServeError;
 use crate::digest::sha256_hex;
 use crate::ids::RunUid;
 use crate::new_file::make_folder;
@@ -97,7 +98,7 @@ pub async fn run(args: RunArgs) -> CliResult<ExitCode> {
         None => {
             sound(&order.files, &rig)?;
             // The skin on the bench is that of the experiment.
-            make_folder(&data).map_err(CliError::file(&data))?;
+            make_folder(&data).map_err(|source| ServeError::Data { path: data.clone(), source })?;
             let sensor = data.join("sensor.toml");
             write(&sensor, &order.files.sensor_text)?;
             let starting = OwnServer::on_bench(&args.bench, &data, &sensor, output);
