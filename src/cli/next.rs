@@ -86,8 +86,8 @@ fn is_of_cargo_run() -> bool {
     std::env::var_os("CARGO").is_some() && program.is_some_and(|path| is_built_here(&path))
 }
 
-/// Whether a program was started by a path below this folder, as `cargo run` does for what it has built. `cargo test` sets
-/// the same variables, but its tests start the program by its whole path.
+/// Whether a program was started by a path below this folder, as `cargo run` does for what it has built. `cargo test`
+/// sets the same variables, but its tests start the program by its whole path.
 fn is_built_here(program: &Path) -> bool {
     program.is_relative() && program.ends_with("palpate") && program.components().count() > 1
 }

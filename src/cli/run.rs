@@ -254,7 +254,8 @@ async fn resumable(
     client.find_run(|run| goes_on(run) && order.is_of(run, status)).await
 }
 
-/// What a person must know of the newest ended run of the same files on the same rig, if it could be resumed and is not.
+/// What a person must know of the newest ended run of the same files on the same rig, if it could be resumed and is
+/// not.
 async fn earlier_words(
     client: &Client,
     order: &Order<'_>,

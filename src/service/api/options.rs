@@ -89,7 +89,7 @@ pub enum ServeError {
     Thread(#[source] std::io::Error),
 }
 
-/// Why a data folder cannot be used. A file in its place, such as the database, names the folder that was probably meant.
+/// Why a data folder cannot be used. For a file in its place, such as the database, its folder is proposed.
 fn data_words(path: &Path, error: &std::io::Error) -> String {
     let shown = path.display();
     if !path.is_file() {
