@@ -232,8 +232,9 @@ impl Csv {
         }
         let why = match error.kind() {
             csv::ErrorKind::UnequalLengths { pos: Some(at), expected_len, len } => {
-                let cells = counted(*len, "cell", "cells");
-                format!("line {} has {cells}, the first has {expected_len}", at.line())
+                // The header is record 0. Its line is not stated: it is wrong after a line that ends with CR LF.
+                let (row, cells) = (at.record().saturating_sub(1), counted(*len, "cell", "cells"));
+                format!("row {row} has {cells}, the first line {expected_len}")
             }
             _ => error.to_string(),
         };

@@ -97,7 +97,7 @@ fn an_invalid_table_is_refused_by_row_and_column() {
         ),
         (
             format!("{head}1,2,3,4,5\n1,2,3\n"),
-            "each line with as many cells as the first: line 3 has 3 cells, the first has 5",
+            "each line with as many cells as the first: row 1 has 3 cells, the first line 5",
         ),
         (
             "# One tip, then four, and more.\nname = \"e\"\n[real_hex]\ntips = [1, 4]\n".into(),
