@@ -40,6 +40,15 @@ pub struct PauseArgs {
     pub act: ActArgs,
 }
 
+/// Options of `stop`.
+#[derive(Debug, Clone, Args)]
+pub struct StopArgs {
+    /// Run: number, start of the id, or `last`; without it the active one. Any other is refused.
+    pub run: Option<String>,
+    #[command(flatten)]
+    pub act: ActArgs,
+}
+
 /// Options of `abort`.
 #[derive(Debug, Clone, Args)]
 pub struct AbortArgs {
@@ -204,6 +213,17 @@ pub async fn request(
 pub async fn pause(args: &PauseArgs) -> CliResult<()> {
     let when = if args.now { "now" } else { "checkpoint" };
     act(&args.act, "pause", json!({ "when": when })).await
+}
+
+/// Runs `palpate stop`.
+///
+/// # Errors
+/// As [`act`]; also if the service has no such run, or it is not the active one.
+pub async fn stop(args: &StopArgs) -> CliResult<()> {
+    let Some(run) = &args.run else { return act(&args.act, "stop", json!({})).await };
+    let client = embed::server(&args.act.at).await?;
+    let run = find_run(&client, run).await?;
+    request(&client, ActedRun::from(&run), &args.act, "stop", json!({})).await
 }
 
 /// Runs `palpate abort`.

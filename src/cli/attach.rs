@@ -21,6 +21,7 @@ use super::{At, embed};
 use crate::api::History;
 use crate::evaluate::simulation::SimulationReport;
 use crate::ids::RunUid;
+use crate::state::StoredState;
 
 /// Longest wait for another simulated twin after the run's end.
 const TWINS_STALLED: Duration = Duration::from_secs(30);
@@ -61,7 +62,7 @@ pub async fn attach(args: AttachArgs) -> CliResult<ExitCode> {
         patience: args.patience.map(|s| Duration::from_secs(s.into())),
     };
     let Some(closing) = to_its_end(&client, watch, &mut signals).await? else {
-        detached(&client, run.scan_id, run.uid, None, args.at.output());
+        detached(&client, run.scan_id, run.uid, None, args.at.output()).await;
         return Ok(ExitCode::SUCCESS);
     };
     let next = closing.next_commands(&args.at.data(), Some(client.url()), false);
@@ -126,20 +127,66 @@ pub fn closed(closing: &Closing, next: &Next, output: Output) -> ExitCode {
 
 /// Prints how to come back to a run that was left to the service. `process`: the service's, if it outlives the
 /// command that started it.
-pub fn detached(client: &Client, scan_id: i64, uid: RunUid, process: Option<u32>, output: Output) {
+pub async fn detached(
+    client: &Client,
+    scan_id: i64,
+    uid: RunUid,
+    process: Option<u32>,
+    output: Output,
+) {
     let url = client.url();
     if output == Output::Json {
         let left = json!({ "event": "detached", "run": uid, "scan_id": scan_id, "url": url,
             "process": process });
         return say_json(&left);
     }
-    say(format_args!("run {scan_id} continues without this terminal; its page is {url}/"));
-    let mut next = Next::of(&At { url: Some(url.into()), ..At::default() })
-        .suggest("palpate attach", "follows it")
-        .suggest("palpate stop", "stops it after its trial");
+    // If the service does not answer, the run is taken for an active one: a stop names it, and stops no other.
+    let row = client.run(uid).await.ok();
+    let waits = row.filter(|row| row.waiting_since.is_some()).map(|row| row.state);
+    let does = if waits.is_some() { "waits for its turn" } else { "continues" };
+    say(format_args!("run {scan_id} {does} without this terminal; its page is {url}/"));
+    let at = At { url: Some(url.into()), ..At::default() };
+    let mut next = after_detaching(&at, scan_id, waits);
     if let Some(process) = process {
         next =
             next.line(format_args!("kill {process}"), "ends the service; its run can be resumed");
     }
     next.say();
+}
+
+/// The commands for a run that was left to the service; each names the run, as another one may be active. `waits`: its
+/// state if it waits for its turn.
+fn after_detaching(at: &At, scan_id: i64, waits: Option<StoredState>) -> Next {
+    let next = Next::of(at).suggest(format_args!("palpate attach {scan_id}"), "follows it");
+    match waits {
+        None => next.suggest(format_args!("palpate stop {scan_id}"), "stops it after its trial"),
+        Some(StoredState::Queued) => {
+            let what = "removes it from the queue";
+            next.suggest(format_args!("palpate queue remove {scan_id}"), what)
+        }
+        Some(StoredState::Ended) => {
+            next.suggest(format_args!("palpate abort {scan_id}"), "takes its start back")
+        }
+        Some(_) => next.suggest(format_args!("palpate abort {scan_id}"), "ends it"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_run_that_was_left_is_named_in_the_commands_for_it() {
+        let second = |waits| after_detaching(&At::default(), 2, waits).text(None);
+        let follows = "\nnext:\n  palpate attach 2";
+        for (waits, ends) in [
+            (None, "\n  palpate stop 2     stops it after its trial"),
+            (Some(StoredState::Queued), "\n  palpate queue remove 2   removes it from the queue"),
+            (Some(StoredState::Ended), "\n  palpate abort 2    takes its start back"),
+            (Some(StoredState::Interrupted), "\n  palpate abort 2    ends it"),
+        ] {
+            let words = second(waits);
+            assert!(words.starts_with(follows) && words.ends_with(ends), "{words}");
+        }
+    }
 }

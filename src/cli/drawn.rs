@@ -1,15 +1,19 @@
 //! An error as people read it: a value in a file with its line under a caret, everything else as a sentence;
 //! and the same error as JSON for scripts.
-//! Uses: annotate-snippets, clap, `locate`, `output`. Never: standard output; a text that controls the terminal.
+//! Uses: annotate-snippets, clap, `carried`, `locate`, `output`. Never: standard output; a text that controls the
+//! terminal.
 
 use std::io::{self, IsTerminal, Read};
 
 use annotate_snippets::{AnnotationKind, Group, Level, Renderer, Snippet};
-use clap::error::{ContextKind, ContextValue};
+use clap::Subcommand;
+use clap::error::{ContextKind, ContextValue, ErrorKind};
 use serde_json::{Value, json};
 
+use super::Command;
 use super::error::CliError;
 use super::output::{Output, error_width, no_color, note_drawn, shown, wrapped};
+use crate::carried::{self, EXPERIMENTS};
 use crate::locate::locate;
 use crate::plain::{escaped, in_plain_words};
 use crate::problem::{Place, Problem};
@@ -56,6 +60,7 @@ pub fn report_usage(error: &clap::Error, output: Output) {
 /// The text of an error of the command line with limits as in files, not in the words of Rust.
 fn in_our_words(error: &clap::Error, text: String) -> String {
     let text = PARSERS.iter().fold(text, |text, (theirs, ours)| text.replace(theirs, ours));
+    let text = with_tip(error, text);
     let Some(ContextValue::String(value)) = error.get(ContextKind::InvalidValue) else {
         return text;
     };
@@ -65,6 +70,29 @@ fn in_our_words(error: &clap::Error, text: String) -> String {
         }
         None => text,
     }
+}
+
+/// The text of an error; of an unknown command with those that were probably meant, if the parser cannot know them.
+fn with_tip(error: &clap::Error, text: String) -> String {
+    let unknown = match error.get(ContextKind::InvalidSubcommand) {
+        Some(ContextValue::String(word)) if error.kind() == ErrorKind::InvalidSubcommand => word,
+        _ => return text,
+    };
+    let Some(meant) = meant_by(unknown) else { return text };
+    let is_followed = error.get(ContextKind::SuggestedSubcommand).is_some();
+    let end = if is_followed { "\n" } else { "\n\n" };
+    text.replacen("\n\n", &format!("\n\n  tip: did you mean {meant}?{end}"), 1)
+}
+
+/// Commands that were probably meant by a word that is none: `run` of a carried experiment, and the groups of commands
+/// that have one of this name.
+fn meant_by(word: &str) -> Option<String> {
+    let run = carried::text(EXPERIMENTS, word).map(|_| format!("`palpate run {word}`"));
+    let all = Command::augment_subcommands(clap::Command::new("palpate"));
+    let groups = all.get_subcommands().filter(|group| group.find_subcommand(word).is_some());
+    let commands = groups.map(|group| format!("`palpate {} {word}`", group.get_name()));
+    let found: Vec<String> = run.into_iter().chain(commands).collect();
+    (!found.is_empty()).then(|| found.join(" or "))
 }
 
 /// An error as a problem body (RFC 9457), with the exit code of the command.
@@ -221,6 +249,29 @@ mod tests {
         let drawn =
             in_folder("\u{1b}[31m = 1\n", |file| Problem::whole(file, "no key").at(Some(at)));
         assert!(drawn.contains(r"\u{1b}[31m") && !drawn.contains('\u{1b}'), "{drawn}");
+    }
+
+    #[test]
+    fn an_unknown_command_is_answered_with_the_one_that_was_meant() {
+        let answer = |word: &str| {
+            let all = Command::augment_subcommands(clap::Command::new("palpate"));
+            let error = all.try_get_matches_from(["palpate", word]).unwrap_err();
+            let text = error.render().to_string();
+            in_our_words(&error, text)
+        };
+        for (word, meant) in [
+            ("quickstart", "`palpate run quickstart`"),
+            ("jog", "`palpate rig jog`"),
+            ("export", "`palpate dataset export`"),
+        ] {
+            let words = answer(word);
+            let first = format!(
+                "error: unrecognized subcommand '{word}'\n\n  tip: did you mean {meant}?\n"
+            );
+            assert!(words.starts_with(&first), "{words}");
+            assert!(words.contains("\n\nUsage: "), "{words}");
+        }
+        assert!(!answer("nonsense").contains("did you mean"));
     }
 
     #[test]

@@ -12,7 +12,6 @@ use clap::{Args, Subcommand};
 use crate::campaign::STOPS;
 use crate::carried::{self, GAPS, RIGS, SENSORS};
 use crate::file_kind::FileKind;
-use serde_json::json;
 
 mod access;
 mod ask;
@@ -232,7 +231,7 @@ pub enum Command {
     /// Resume the paused run, or one that was stopped or interrupted.
     Resume(begin::ResumeArgs),
     /// End the active run after its trial; it can be resumed later.
-    Stop(ask::ActArgs),
+    Stop(ask::StopArgs),
     /// Raise the tips now and end the active run, or end an interrupted one.
     #[command(after_help = STOPS)]
     Abort(ask::AbortArgs),
@@ -350,7 +349,7 @@ async fn answer(command: Command) -> CliResult<ExitCode> {
         Command::Queue(args) => queue::queue(args).await?,
         Command::Pause(args) => ask::pause(&args).await?,
         Command::Resume(args) => begin::resume(&args).await?,
-        Command::Stop(args) => ask::act(&args, "stop", json!({})).await?,
+        Command::Stop(args) => ask::stop(&args).await?,
         Command::Abort(args) => ask::abort(&args).await?,
         Command::Confirm(args) => placement::confirm(&args).await?,
         Command::Repeat(args) => placement::repeat(&args).await?,

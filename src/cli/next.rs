@@ -3,6 +3,7 @@
 //! a call of [`Next::suggest`].
 
 use std::fmt::Display;
+use std::path::{Path, PathBuf};
 
 use super::At;
 use super::output::{columns, error_width, note_drawn, shown};
@@ -21,7 +22,7 @@ pub struct Next {
 impl Next {
     /// Commands for the service and the data folder that these options name.
     pub fn of(at: &At) -> Self {
-        let path = |path: &std::path::PathBuf| path.display().to_string();
+        let path = |path: &PathBuf| path.display().to_string();
         let typed = [
             ("url", at.url.clone()),
             ("ca", at.ca.as_ref().map(path)),
@@ -35,7 +36,7 @@ impl Next {
     /// Adds a command of `palpate`.
     pub fn suggest(self, command: impl Display, what: impl Display) -> Self {
         let command = format!("{command}{}", self.place);
-        self.line(command, what)
+        self.line(as_typed(&command, is_of_cargo_run()), what)
     }
 
     /// Adds the command that was typed: `again`, or `with` and `without` an option.
@@ -58,7 +59,7 @@ impl Next {
 
     /// The commands, each with what it does next to it, or below it if that needs more columns than the `terminal` has.
     /// A command is not wrapped: it is copied.
-    fn text(&self, terminal: Option<usize>) -> String {
+    pub fn text(&self, terminal: Option<usize>) -> String {
         let widest =
             |part: usize| self.lines.iter().map(|line| columns(&line[part])).max().unwrap_or(0);
         let width = widest(0) + 3;
@@ -69,6 +70,26 @@ impl Next {
         });
         format!("\nnext:{}", lines.collect::<String>())
     }
+}
+
+/// A command of `palpate` as it can be typed: after `cargo run -- ..` the program may not be installed.
+fn as_typed(command: &str, of_cargo: bool) -> String {
+    match command.strip_prefix("palpate ") {
+        Some(words) if of_cargo => format!("cargo run -- {words}"),
+        _ => command.to_owned(),
+    }
+}
+
+/// Whether `cargo run` started this program, in the folder from which the same can be typed again.
+fn is_of_cargo_run() -> bool {
+    let program = std::env::args_os().next().map(PathBuf::from);
+    std::env::var_os("CARGO").is_some() && program.is_some_and(|path| is_built_here(&path))
+}
+
+/// Whether a program was started by a path below this folder, as `cargo run` does for what it has built. `cargo test`
+/// sets the same variables, but its tests start the program by its whole path.
+fn is_built_here(program: &Path) -> bool {
+    program.is_relative() && program.ends_with("palpate") && program.components().count() > 1
 }
 
 /// A word of a command line; in single quotes if the shell would read it otherwise.
@@ -109,6 +130,19 @@ mod tests {
             Next::default().suggest("palpate runs", "").text(None),
             "\nnext:\n  palpate runs   "
         );
+    }
+
+    #[test]
+    fn after_cargo_run_a_command_begins_with_it() {
+        assert_eq!(as_typed("palpate show 1", true), "cargo run -- show 1");
+        assert_eq!(as_typed("palpate show 1", false), "palpate show 1");
+        assert_eq!(as_typed("kill 12", true), "kill 12");
+        let is_of_run = |path: &str| is_built_here(Path::new(path));
+        assert!(is_of_run("target/debug/palpate") && is_of_run("target/release/palpate"));
+        for other in ["/srv/target/debug/palpate", "palpate", "target/debug/deps/palpate-12ab"] {
+            assert!(!is_of_run(other), "{other}");
+        }
+        assert!(!is_of_cargo_run(), "a test is started by another path");
     }
 
     #[test]

@@ -16,15 +16,17 @@ use super::client::Client;
 use super::error::{CliError, CliResult};
 use super::files::{ExperimentFiles, RigFiles, write};
 use super::follow::Watch;
-use super::output::{self, bytes, counted, duration};
+use super::output::{self, bytes, counted, duration, grouped};
 use super::own_server::OwnServer;
 use super::rig::end_motion;
 use super::signals::Signals;
 use super::summary::Closing;
 use super::view::{PreflightView, StatusView};
 use super::{At, embed};
+use crate::api::ServeError;
 use crate::digest::sha256_hex;
 use crate::ids::RunUid;
+use crate::journal::ExitStatus;
 use crate::new_file::make_folder;
 use crate::rig::setup::RigSetup;
 use crate::state::StoredState;
@@ -97,7 +99,7 @@ pub async fn run(args: RunArgs) -> CliResult<ExitCode> {
         None => {
             sound(&order.files, &rig)?;
             // The skin on the bench is that of the experiment.
-            make_folder(&data).map_err(CliError::file(&data))?;
+            make_folder(&data).map_err(|source| ServeError::Data { path: data.clone(), source })?;
             let sensor = data.join("sensor.toml");
             write(&sensor, &order.files.sensor_text)?;
             let starting = OwnServer::on_bench(&args.bench, &data, &sensor, output);
@@ -111,7 +113,7 @@ pub async fn run(args: RunArgs) -> CliResult<ExitCode> {
         }
     };
     let Some(closing) = closing else {
-        detached(&client, run.scan_id, run.uid, process, output);
+        detached(&client, run.scan_id, run.uid, process, output).await;
         return Ok(ExitCode::SUCCESS);
     };
     let url = process.is_none().then(|| client.url());
@@ -213,6 +215,9 @@ async fn begin(
             run
         }
         None => {
+            if let Some(words) = earlier_words(client, order, &status).await? {
+                note(order, &words);
+            }
             let body = submission(client, &order.files);
             let run: RunRow = client.post("/api/v1/queue", &body).await?;
             *starting = Some(Start::Queued(run.uid));
@@ -249,6 +254,33 @@ async fn resumable(
     client.find_run(|run| goes_on(run) && order.is_of(run, status)).await
 }
 
+/// What a person must know of the newest ended run of the same files on the same rig, if it could be resumed and is
+/// not.
+async fn earlier_words(
+    client: &Client,
+    order: &Order<'_>,
+    status: &StatusView,
+) -> CliResult<Option<String>> {
+    if order.args.new {
+        return Ok(None);
+    }
+    let is_earlier = |run: &RunRow| run.state == StoredState::Ended && order.is_of(run, status);
+    let newest = client.find_run(is_earlier).await?;
+    let Some(run) = newest.filter(|run| run.is_resumable) else { return Ok(None) };
+    let stored = client.summary(run.uid).await?.trials_stored;
+    Ok(Some(not_resumed(run.scan_id, run.exit_status, [stored, run.trials_planned])))
+}
+
+/// Why a run is not resumed by itself, and how it is. `trials`: stored, planned.
+fn not_resumed(scan_id: i64, ended: Option<ExitStatus>, trials: [u64; 2]) -> String {
+    let ended = if ended == Some(ExitStatus::Abort) { "was aborted" } else { "failed" };
+    let [stored, planned] = trials.map(grouped);
+    format!(
+        "run {scan_id} of the same files {ended} at {stored} of {planned} trials and is not resumed: a new run starts; \
+         to continue it instead: palpate resume {scan_id}"
+    )
+}
+
 /// Body of the request that queues an experiment.
 pub fn submission(client: &Client, files: &ExperimentFiles) -> serde_json::Value {
     json!({
@@ -279,5 +311,19 @@ fn note(order: &Order<'_>, words: &str) {
         tracing::info!("{words}");
     } else {
         output::note(words);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_run_that_is_not_resumed_by_its_files_is_named() {
+        let aborted = not_resumed(1, Some(ExitStatus::Abort), [80, 33_000]);
+        let words = "run 1 of the same files was aborted at 80 of 33,000 trials and is not resumed: a new run starts; \
+                     to continue it instead: palpate resume 1";
+        assert_eq!(aborted, words);
+        assert!(not_resumed(1, Some(ExitStatus::Fail), [80, 264]).contains(" failed at 80 of 264"));
     }
 }

@@ -17,7 +17,7 @@ use super::error::{CliError, CliResult};
 use super::files::{self, DEFAULT_SKIN_SEED, RigFiles, write};
 use super::key::KEY_VARIABLE;
 use super::progress::Working;
-use crate::api::LockFile;
+use crate::api::{LockFile, ServeError};
 use crate::new_file;
 use crate::program::withhold;
 use crate::rig::config::RigLabel;
@@ -56,13 +56,15 @@ impl VirtualBench {
     ///
     /// # Errors
     /// `CliError::Locked` if another process uses the data folder; `Child` or `Late` if it does not
-    /// start; `File` if a file cannot be written.
+    /// start; `Serve` if the data folder cannot be created, `File` if a file cannot be written.
     pub async fn switch_on(
         args: &BenchArgs,
         data: &Path,
         rig: &RigFiles,
         sensor_text: &str,
     ) -> CliResult<Self> {
+        let unusable = |source| ServeError::Data { path: data.to_owned(), source };
+        new_file::make_folder(data).map_err(unusable)?;
         let folder = data.join("virtual-rig");
         new_file::make_folder(&folder).map_err(CliError::file(&folder))?;
         // The files and the log there may be those of the bench of another service.

@@ -20,8 +20,8 @@
 use palpate_model::simulate;
 use palpate_store as store;
 use palpate_words::{
-    carried, clock, commit, digest, ids, journal, near, new_file, plain, priority, problem,
-    program, query_lines, record, state, syntax,
+    carried, clock, commit, digest, file_kind, ids, journal, near, new_file, plain, priority,
+    problem, program, query_lines, record, state, syntax,
 };
 
 pub mod dataset;

@@ -157,6 +157,7 @@ fn syntax(message: &str, value: &str) -> String {
         "string values must be quoted" if value.starts_with(['“', '”', '‘', '’', '„']) => {
             "quotes must be straight: \""
         }
+        "string values must be quoted" if lacks_comma(value) => "a comma is missing between values",
         "string values must be quoted" if value.starts_with(|c: char| c.is_ascii_digit()) => {
             "a number has no unit: the unit is in the name of its key"
         }
@@ -164,6 +165,16 @@ fn syntax(message: &str, value: &str) -> String {
         _ => return message.into(),
     };
     known.into()
+}
+
+/// Whether a list has numbers with only a space between them.
+fn lacks_comma(value: &str) -> bool {
+    let numbers = |entry: &str| {
+        let words = entry.split_whitespace().map(|word| word.trim_matches(['[', ']']));
+        let are_numbers: Vec<bool> = words.map(|word| word.parse::<f64>().is_ok()).collect();
+        are_numbers.len() > 1 && are_numbers.iter().all(|is_number| *is_number)
+    };
+    value.starts_with('[') && value.split(',').any(numbers)
 }
 
 #[cfg(test)]
@@ -222,6 +233,10 @@ mod tests {
         assert_eq!(limit(quoted, "quick"), "text must be in quotes");
         assert_eq!(limit(quoted, "“quick”"), "quotes must be straight: \"");
         assert!(limit(quoted, "6 mm").starts_with("a number has no unit"));
+        for list in ["[1 4]", "[1, 2 4]", "[[1.5, 2] , [3 4]]"] {
+            assert_eq!(limit(quoted, list), "a comma is missing between values", "{list}");
+        }
+        assert_eq!(limit(quoted, "[one, 4]"), "text must be in quotes");
         let more = "unexpected key or value, expected newline, `#`";
         assert!(limit(more, "0,2").contains("a point"));
         assert_eq!(limit(more, "1 2"), "a line ends after its value");

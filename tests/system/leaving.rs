@@ -186,6 +186,8 @@ async fn a_run_whose_start_another_person_takes_back_is_followed_no_longer() {
     desk.palpate(&["run", "e.toml", "--speed", "5", "--detach"]).detached();
     let waiting = desk.palpate(&["run", "next.toml"]);
     desk.until_one_waits();
+    let (_, code) = desk.palpate(&["stop", "2"]).end();
+    assert_eq!(code, 1, "a stop is of the active run");
     let (_, code) = desk.palpate(&["abort", "2"]).end();
     assert_eq!(code, 0);
     let (last, code) = waiting.end();

@@ -1,7 +1,7 @@
 //! `palpate simulate random`: Sim-Random to a folder, with progress, and Ctrl-C as a request.
 //! Uses: `simulate::random`, indicatif. Never: a decision about a byte of the shards.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -12,16 +12,19 @@ use indicatif::ProgressBar;
 use serde_json::json;
 use sim_core::batch::BatchModel;
 
-use crate::cli::At;
 use crate::cli::error::CliResult;
 use crate::cli::next::Next;
 use crate::cli::output::{self, bytes, counted, duration, grouped, say, say_json};
 use crate::cli::progress::{LogLines, progress_bar, to_go};
 use crate::cli::signals::Signals;
 use crate::cli::simulate::request::{RandomRequest, SolvedRequest, threads};
+use crate::cli::{At, data_or_default};
 use crate::new_file::Look;
 use crate::simulate::random::manifest::Manifest;
 use crate::simulate::random::{Means, Outcome, Progress, generate};
+
+/// Folder in the data folder whose folders of shards trainings read.
+const TRAINED_FOLDER: &str = "sim-random";
 
 /// Options of `simulate random`.
 #[derive(Debug, Clone, Args)]
@@ -198,10 +201,45 @@ impl Screen {
         let end = if complete { "" } else { "stopped: " };
         say(format_args!("{end}{there}; {made} made in {wall} ({rate:.0}/s)"));
         let next = Next::of(&At { data: args.request.data.clone(), ..At::default() });
+        let data = data_or_default(args.request.data.clone());
         let next = match complete {
-            true => next.suggest("palpate train recon-net", "learns from DATA/sim-random"),
+            true => after_all(next, &args.out, &data),
             false => next.same_command("again", "resumes after the last complete shard"),
         };
         next.say();
+    }
+}
+
+/// The command for complete shards in `out`: a training reads only the folders in `sim-random` of the data folder.
+fn after_all(next: Next, out: &Path, data: &Path) -> Next {
+    let whole = |path: &Path| path.canonicalize().unwrap_or_else(|_| path.to_owned());
+    let trained = data.join(TRAINED_FOLDER);
+    let is_there = whole(out).parent().is_some_and(|folder| folder == whole(&trained));
+    let what = match is_there {
+        true => format!("learns from {}", trained.display()),
+        false => format!("learns from {}: move the folder into it first", trained.display()),
+    };
+    next.suggest("palpate train recon-net", what)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn shards_elsewhere_are_to_be_moved_before_a_training_reads_them() {
+        let temporary = tempfile::tempdir().unwrap();
+        let data = temporary.path().join("data");
+        let [inside, outside] = [data.join("sim-random/1"), temporary.path().join("shards")];
+        for folder in [&inside, &outside] {
+            std::fs::create_dir_all(folder).unwrap();
+        }
+        let words = |out: &Path| after_all(Next::default(), out, &data).text(None);
+        let learns = format!("palpate train recon-net   learns from {}/sim-random", data.display());
+        assert!(words(&inside).ends_with(&learns), "{}", words(&inside));
+        let moved = format!("{learns}: move the folder into it first");
+        assert!(words(&outside).ends_with(&moved), "{}", words(&outside));
+        // The folder of all shards is none of them.
+        assert!(words(&data.join("sim-random")).ends_with(&moved));
     }
 }

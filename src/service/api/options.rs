@@ -2,7 +2,7 @@
 //! Uses: the errors of its parts. Never: a service.
 
 use std::net::SocketAddr;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use sim_core::calibration::Calibration;
 use sim_core::sensor::Sensor;
@@ -56,7 +56,7 @@ pub enum ServeError {
     #[error("{}", problems.iter().map(ToString::to_string).collect::<Vec<_>>().join("\n"))]
     Rig { problems: Vec<crate::problem::Problem> },
     /// The data folder cannot be created or made private.
-    #[error("data folder {}: {}", path.display(), system_words(source))]
+    #[error("{}", data_words(path, source))]
     Data { path: PathBuf, source: std::io::Error },
     /// Another process uses the rig or the data folder.
     #[error(transparent)]
@@ -87,4 +87,37 @@ pub enum ServeError {
     /// The thread of the campaign or of the door cannot be started.
     #[error("starting a thread: {0}")]
     Thread(#[source] std::io::Error),
+}
+
+/// Why a data folder cannot be used. For a file in its place, such as the database, its folder is proposed.
+fn data_words(path: &Path, error: &std::io::Error) -> String {
+    let shown = path.display();
+    if !path.is_file() {
+        return format!("data folder {shown}: {}", system_words(error));
+    }
+    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
+    let folder = folder.unwrap_or(Path::new(".")).display();
+    format!("data folder {shown}: is a file, not a folder; did you mean `{folder}`?")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_file_in_place_of_the_data_folder_names_its_folder() {
+        let temporary = tempfile::tempdir().unwrap();
+        let data = temporary.path().join("palpate.db");
+        std::fs::write(&data, "").unwrap();
+        let words = |path: PathBuf| {
+            let source = std::io::Error::from(std::io::ErrorKind::AlreadyExists);
+            ServeError::Data { path, source }.to_string()
+        };
+        let (file, folder) = (data.display(), temporary.path().display());
+        let wanted =
+            format!("data folder {file}: is a file, not a folder; did you mean `{folder}`?");
+        assert_eq!(words(data.clone()), wanted);
+        let none = words(temporary.path().join("none"));
+        assert!(!none.contains("is a file"), "{none}");
+    }
 }

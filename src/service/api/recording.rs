@@ -81,7 +81,8 @@ pub async fn record(
     };
     for_pages(format).map_err(ApiError::bad_query)?;
     if app.campaign.status().rig.state == RigState::Disconnected {
-        let words = "no frames come: the rig is disconnected; connect it first";
+        let words =
+            "no frames come: the rig is disconnected; connect it first (palpate rig connect)";
         return Err(ApiError::new(StatusCode::CONFLICT, words));
     }
     let place = place(&app.turns.frames, (FRAME_CLIENTS, "live frames"))?;

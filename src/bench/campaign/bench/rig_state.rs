@@ -95,8 +95,8 @@ impl RigState {
     /// The next step from this state, for a person whose request it does not allow.
     pub(in crate::campaign) fn next(self) -> &'static str {
         match self {
-            RigState::Disconnected => "connect it first",
-            RigState::Disarmed => "home it first",
+            RigState::Disconnected => "connect it first (palpate rig connect)",
+            RigState::Disarmed => "home it first (palpate rig home)",
             RigState::Homed => "it is ready to be armed",
             RigState::Armed => "a run has it",
             RigState::Tripped => "check and reset it first",

@@ -169,7 +169,10 @@ pub(super) mod tests {
         }
         assert_eq!(allowed(&status(SKIN, RigState::Disarmed)), "disconnect");
         let why = RigAction::Jog.refused(&status(BENCH, RigState::Disarmed)).unwrap();
-        assert_eq!(why, "jog is not possible while the rig is disarmed: home it first");
+        assert_eq!(
+            why,
+            "jog is not possible while the rig is disarmed: home it first (palpate rig home)"
+        );
     }
 
     #[test]

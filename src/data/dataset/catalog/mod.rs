@@ -169,7 +169,10 @@ impl Catalog {
 
     fn no_dataset(&self, name: &str) -> DatasetError {
         let choices = Definition::built_in_names().collect::<Vec<_>>();
-        let meant = did_you_mean(name, choices.iter().copied());
+        let meant = match name.parse::<u32>() {
+            Ok(run) => format!("; did you mean `run-{run}`?"),
+            Err(_) => did_you_mean(name, choices.iter().copied()),
+        };
         DatasetError::NoDataset { name: name.into(), choices: choices.join(", "), meant }
     }
 

@@ -1,5 +1,5 @@
 //! A CSV file of trials: its header states which cells are voltages, contacts and other columns.
-//! Uses: csv, `batch`, `line_limit`. Never: more than a page of rows in memory.
+//! Uses: csv, `batch`, `line_limit`, `file_kind`. Never: more than a page of rows in memory.
 //!
 //! The separator is the one of comma, semicolon and tab that is most frequent in the header. Rows count from
 //! 0, without the header, as in a Parquet file.
@@ -20,11 +20,15 @@ use crate::dataset::import::columns::{FRAMES_V, Scalar, scalar};
 use crate::dataset::import::extent::Extent;
 use crate::dataset::import::{BATCH_TRIALS, whole};
 use crate::dataset::schema::VOLTAGES_V;
+use crate::file_kind::FileKind;
+use crate::plain::counted;
 use crate::problem::Problem;
 use crate::simulate::schema::{CONTACTS, SIM_VOLTAGES_V};
 use crate::store::{Contact, IMPORTED_CONTACTS_MAX};
 use crate::syntax::PROBLEMS_MAX;
 
+/// Largest TOML file that is recognised in place of a table, bytes.
+const TOML_MAX_BYTES: u64 = 1 << 20;
 /// Separators of cells.
 const SEPARATORS: [u8; 3] = *b",;\t";
 /// Columns of frames, and how the names of their cells begin.
@@ -221,8 +225,27 @@ impl Csv {
     }
 
     fn broken(&self, error: &csv::Error) -> DatasetError {
-        let limit = format!("must be CSV, each line with as many cells as the first: {error}");
-        whole(&self.file, limit)
+        if let Some(kind) = self.toml() {
+            let (is, given) = (kind.name(), kind.given());
+            let limit = format!("this is {is}, not a table of trials; {is} is given with {given}");
+            return whole(&self.file, limit);
+        }
+        let why = match error.kind() {
+            csv::ErrorKind::UnequalLengths { pos: Some(at), expected_len, len } => {
+                // The header is record 0. Its line is not stated: it is wrong after a line that ends with CR LF.
+                let (row, cells) = (at.record().saturating_sub(1), counted(*len, "cell", "cells"));
+                format!("row {row} has {cells}, the first line {expected_len}")
+            }
+            _ => error.to_string(),
+        };
+        whole(&self.file, format!("must be CSV, each line with as many cells as the first: {why}"))
+    }
+
+    /// Kind of the file if it is no table, but one of the TOML files of this program.
+    fn toml(&self) -> Option<FileKind> {
+        let mut text = String::new();
+        File::open(&self.path).ok()?.take(TOML_MAX_BYTES).read_to_string(&mut text).ok()?;
+        FileKind::of(&text)
     }
 
     /// Names of the columns that are read, and of those that are ignored.

@@ -95,7 +95,14 @@ fn an_invalid_table_is_refused_by_row_and_column() {
             format!("{head}1,2,3,4,5\n1,2,-1500,4,5\n"),
             "row 1, voltages_v[2] = -1500: must be from -1000 to 1000 V",
         ),
-        (format!("{head}1,2,3\n"), "each line with as many cells as the first"),
+        (
+            format!("{head}1,2,3,4,5\n1,2,3\n"),
+            "each line with as many cells as the first: row 1 has 3 cells, the first line 5",
+        ),
+        (
+            "# One tip, then four, and more.\nname = \"e\"\n[real_hex]\ntips = [1, 4]\n".into(),
+            "this is an experiment, not a table of trials; an experiment is given with palpate run",
+        ),
         ("v0,v2,x_mm,y_mm\n1,2,3,4\n".into(), "v1 = absent: must be present"),
         ("v0,v0,x_mm,y_mm\n1,2,3,4\n".into(), "v0 = twice"),
         ("v0,frames_v,x_mm,y_mm\n1,2,3,4\n".into(), "frames_v = a column: must be in a Parquet"),
