@@ -1,6 +1,7 @@
 """Table of accuracy on virtual skins: every skin, method and number of frames, from nothing.
 
-    python3 tests/figures/skins.py PALPATE FOLDER [--skins gap-c:5,gap-c:6,gap-d:1] [--paper] [--points] [--table]
+    python3 tests/figures/skins.py PALPATE FOLDER [--skins gap-c:5,gap-c:6,gap-d:1] [--paper] [--points] [--frames N]
+        [--table]
 
 For each skin: 9,900 trials to learn from (touch-real-hex), 600 a day later for evaluation only (touch-real-random),
 its calibration, and `evaluate unseen` with `exact` and the one-step methods; `--points` trains a Point-Net and adds
@@ -8,6 +9,8 @@ its calibration, and `evaluate unseen` with `exact` and the one-step methods; `-
 latter, at small scale. Each skin has a data folder in FOLDER, each step is done once: the same command continues after
 it was stopped. PALPATE is the program that was built. On two cores a skin takes about 20 minutes, `--points` 5 and
 `--paper` 10 more, without the regressions, which were not timed.
+
+`--frames N` presses with N frames per trial, not one, from which the skin is calibrated; its folder is another one.
 
 Skins may be measured on several days: `--skins gap-c:6` today, another tomorrow. The scores of a skin are kept in
 FOLDER/GAP-SEED.json with the day on which they were measured, and the table is that of all such files, also of files
@@ -36,11 +39,22 @@ def step(folder, name, *command):
     return once(folder, name, *command, "--data", folder)
 
 
-def measure(palpate, folder, gap, seed, points, paper):
+def real_hex(folder, frames):
+    """The experiment of the trials to learn from; with several frames per trial a file in the folder."""
+    carried = experiments() / "touch-real-hex.toml"
+    if frames == 1:
+        return carried
+    text = carried.read_text().replace('"sensors/', f'"{experiments()}/sensors/')
+    file = folder / carried.name
+    file.write_text(f"{text}\n[measure]\nframes_per_trial = {frames}\n")
+    return file
+
+
+def measure(palpate, folder, gap, seed, points, paper, frames):
     """Presses, calibrates and evaluates a skin, and keeps its scores."""
     folder.mkdir(parents=True, exist_ok=True)
     skin = ["--gap", gap, "--skin-seed", seed, "--speed", SPEED[gap]]
-    step(folder, "real-hex", palpate, "run", experiments() / "touch-real-hex.toml", *skin)
+    step(folder, "real-hex", palpate, "run", real_hex(folder, frames), *skin)
     step(folder, "real-random", palpate, "run", experiments() / "touch-real-random.toml", *skin, "--skin-age-days", 1)
     file = folder / "skin.toml"
     step(folder, "calibration", palpate, "calibrate", "skin", "--run", 1, "--out", file)
@@ -60,7 +74,7 @@ def measure(palpate, folder, gap, seed, points, paper):
     step(folder, name, palpate, "evaluate", "unseen", *options)
     untouched = ["--dataset", "real-untouched", "--where", "max_force_n__lt=0.1", "--json"]
     step(folder, "untouched", palpate, "evaluate", "method", "exact", *untouched)
-    keep(folder, gap, seed)
+    keep(folder, gap, seed, frames)
 
 
 def experiments():
@@ -101,13 +115,13 @@ def scores(numbers):
     return found + list(perfect.values())
 
 
-def keep(folder, gap, seed):
+def keep(folder, gap, seed, frames):
     """Writes the scores of a skin next to its data folder, of the largest set of methods that was measured."""
     done = max(folder.glob("unseen*.done"), key=lambda file: len(file.name))
     numbers = answer(done.read_text())
     untouched = answer((folder / "untouched.done").read_text())["report"]["contacts"]["all"]
-    kept = {"gap": gap, "seed": int(seed), "day": str(datetime.date.fromtimestamp(done.stat().st_mtime)),
-            "scores": scores(numbers), "verdicts": numbers.get("verdicts", []),
+    day = datetime.date.fromtimestamp(done.stat().st_mtime)
+    kept = {"gap": gap, "seed": int(seed), "frames_per_trial": frames, "day": str(day), "scores": scores(numbers), "verdicts": numbers.get("verdicts", []),
             "untouched": {name: untouched[name] for name in ("estimates", "trials")}}
     (folder.parent / f"{folder.name}.json").write_text(json.dumps(kept, indent=1) + "\n")
 
@@ -128,6 +142,8 @@ def table(folder):
     lines, verdicts, ghosts = [], [], []
     for skin in kept:
         name, untouched = f"{skin['gap']}, seed {skin['seed']}", skin["untouched"]
+        frames = skin.get("frames_per_trial", 1)
+        name += f", calibrated on means of {frames} frames" if frames > 1 else ""
         lines += [row(name, skin["day"], entry["method"], entry["score"]) for entry in skin["scores"]]
         verdicts += [f"{name}: {line}" for line in skin["verdicts"]]
         ghosts.append(f"{name}: {untouched['estimates']} in {untouched['trials']}")
@@ -145,6 +161,7 @@ def main():
     parser.add_argument("--skins", default=SKINS, help="skins to measure, GAP:SEED, separated by commas")
     parser.add_argument("--points", action="store_true", help="train a Point-Net, and score fast")
     parser.add_argument("--paper", action="store_true", help="train and score the paper's nets and regressions, small scale")
+    parser.add_argument("--frames", type=int, default=1, help="frames per trial of the run to learn from")
     parser.add_argument("--table", action="store_true", help="print the table of what was measured")
     args = parser.parse_args()
     skins = [tuple(skin.split(":")) for skin in args.skins.split(",")]
@@ -153,7 +170,8 @@ def main():
         raise SystemExit(f"--skins: {':'.join(unknown[0])}: must be GAP:SEED with one of {', '.join(SPEED)}")
     folder = args.folder.resolve()
     for gap, seed in [] if args.table else skins:
-        measure(args.palpate.resolve(), folder / f"{gap}-{seed}", gap, seed, args.points, args.paper)
+        name = f"{gap}-{seed}" + (f"-frames-{args.frames}" if args.frames > 1 else "")
+        measure(args.palpate.resolve(), folder / name, gap, seed, args.points, args.paper, args.frames)
     table(folder)
 
 
