@@ -94,7 +94,7 @@ impl StandIn {
         *self.status.lock()
     }
 
-    /// The next motion or homing that is started goes on until the test ends it.
+    /// The next motion or homing that is started continues until the test ends it.
     pub fn keep_moving(&self) {
         *self.after_start.lock() = Some(AxisStatus { moving: true, ..self.present() });
     }

@@ -159,7 +159,7 @@ async fn stop(engine: &mut Engine) {
     }
 }
 
-/// The answer to a request that arrives while something moves, and whether the motion goes on.
+/// The answer to a request that arrives while something moves, and whether the motion continues.
 async fn asked_while_moving(
     engine: &mut Engine,
     handle: &Handle,
