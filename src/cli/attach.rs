@@ -23,6 +23,8 @@ use crate::evaluate::simulation::SimulationReport;
 use crate::ids::RunUid;
 use crate::state::StoredState;
 
+/// Longest wait for the state of a run that is left: no signal ends it.
+const ROW_WAIT: Duration = Duration::from_secs(2);
 /// Longest wait for another simulated twin after the run's end.
 const TWINS_STALLED: Duration = Duration::from_secs(30);
 
@@ -141,7 +143,7 @@ pub async fn detached(
         return say_json(&left);
     }
     // If the service does not answer, the run is taken for an active one: a stop names it, and stops no other.
-    let row = client.run(uid).await.ok();
+    let row = client.quiet().patient(ROW_WAIT).run(uid).await.ok();
     let waits = row.filter(|row| row.waiting_since.is_some()).map(|row| row.state);
     let does = if waits.is_some() { "waits for its turn" } else { "continues" };
     say(format_args!("run {scan_id} {does} without this terminal; its page is {url}/"));

@@ -53,7 +53,7 @@ impl OwnServer {
         output: Output,
     ) -> CliResult<Self> {
         let mut arguments = bench.arguments();
-        arguments.extend(["--no-resume".into(), "--sensor".into(), sensor.into()]);
+        arguments.extend(["--sensor".into(), sensor.into()]);
         let words = "starting the service (a new skin's responses are solved once)";
         let shown = (output == Output::Text).then(|| Working::on(words));
         Self::start(&arguments, data, shown).await
@@ -82,7 +82,7 @@ impl OwnServer {
         let begin = out.seek(SeekFrom::End(0)).map_err(failed)?;
         let errors = out.try_clone().map_err(failed)?;
         let mut command = Command::new(this_program()?);
-        command.args(["serve", "--own-session", "--bind", "127.0.0.1:0", "--data"]);
+        command.args(["serve", "--own-session", "--bind", "127.0.0.1:0", "--no-resume", "--data"]);
         command.arg(data).args(arguments);
         command.stdin(Stdio::null()).stdout(out).stderr(errors);
         let child = command.spawn().map_err(|error| ended(&error.to_string(), &log))?;

@@ -215,7 +215,8 @@ async fn begin(
             run
         }
         None => {
-            if let Some(words) = earlier_words(client, order, &status).await? {
+            // Without these words the run starts nevertheless.
+            if let Ok(Some(words)) = earlier_words(client, order, &status).await {
                 note(order, &words);
             }
             let body = submission(client, &order.files);

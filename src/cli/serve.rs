@@ -116,11 +116,8 @@ async fn serve_rig(
         data: data_or_default(args.data.clone()),
         rig_file: rig.file,
         rig_text: rig.text,
-        resume: match (args.no_resume, args.desk) {
-            (true, _) => AutoResume::Off,
-            (false, true) => AutoResume::Later,
-            (false, false) => AutoResume::Allowed,
-        },
+        // At a desk there is no rig to resume on, but a person may hold the runs: none resumes afterwards, either.
+        resume: if args.no_resume || args.desk { AutoResume::Off } else { AutoResume::Allowed },
         twin_workers: args.twin_workers,
         calibration: args.calibration.as_deref().map(parse_calibration).transpose()?,
         sensor,

@@ -1,15 +1,12 @@
-//! A data folder whose run was killed, and where another run waits: what drives no rig leaves both to the next service.
+//! A data folder whose run was killed, and where another run waits: a command that looks at it leaves both to the next
+//! service.
 
 use std::path::Path;
 
-use serde_json::json;
 use sqlx::Connection;
 
 use crate::old_data::{copy, open};
-use crate::support::{
-    Folder, answered, command, database, done, execute, finished, http, is_refused, served,
-    succeeded,
-};
+use crate::support::{Folder, command, database, done, execute, finished, succeeded};
 
 /// A folder with a killed run, 2, that may resume automatically, and one that waits, 3.
 async fn killed(name: &str) -> Folder {
@@ -52,22 +49,4 @@ async fn a_look_at_the_data_leaves_the_runs_to_the_next_service() {
     let queue = succeeded(&look(&["queue"]).await);
     assert!(queue.contains("next"), "{queue}");
     assert_eq!(stored(&folder).await, as_left());
-}
-
-#[tokio::test(flavor = "multi_thread")]
-async fn a_service_without_a_rig_leaves_the_runs_until_a_person_holds_one() {
-    let folder = killed("at-a-desk").await;
-    let data = folder.display().to_string();
-    let mut serve = command(&["serve", "--desk", "--twin-workers", "0"]);
-    let (_service, url) = served(serve.args(["--bind", "127.0.0.1:0", "--data", &data]));
-    let (client, run) = (http(), format!("{url}/api/v1/runs/2"));
-    let (status, shown) = answered(client.get(&run)).await;
-    assert_eq!((status, &shown["state"]), (200, &json!("interrupted")), "{shown:#}");
-    assert_eq!(shown["is_resumable"], true);
-    assert_eq!(stored(&folder).await, as_left());
-    let pause = client.post(format!("{run}/actions")).json(&json!({ "action": "pause" }));
-    is_refused(answered(pause).await, 409, "run 2 is interrupted, not active");
-    // The next service drives none of them by itself.
-    let held = vec![("interrupted".to_owned(), 0), ("queued".to_owned(), 0)];
-    assert_eq!(stored(&folder).await, held);
 }

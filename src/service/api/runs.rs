@@ -22,7 +22,7 @@ use crate::campaign::shown::command::Request;
 use crate::campaign::shown::placement::Confirmation;
 use crate::campaign::shown::run_action::ActionOnRun;
 use crate::campaign::shown::status::Done;
-use crate::conductor::{Armed, AutoResume, Started};
+use crate::conductor::{Armed, Started};
 use crate::ids::RunUid;
 use crate::journal::Journal;
 use crate::store::{Role, RunRow, SettingCount, SkipRow};
@@ -294,10 +294,6 @@ async fn request_action(
 async fn on_undriven(app: &App, run: &RunRow, action: ActionOnRun) -> ApiResult<()> {
     // It may have ended since it was read.
     let run = &app.store.run(run.uid).await?.unwrap_or_else(|| run.clone());
-    if app.store.leaves_open_runs() && run.is_open() && !needs_lock(action) {
-        // A pause, a stop or an abort: the next service, which does not know of it, drives no run by itself.
-        app.conductor.resume_after_restart(AutoResume::Off).await?;
-    }
     let is_late = comes_late(action, run.ended_at, Timestamp::now());
     // It may be about to begin, unless it has just ended.
     let may_abort = run.is_open() || run.waiting_since.is_some() || !is_late;

@@ -29,7 +29,7 @@ impl Store {
     }
 
     /// Whether runs that an earlier process left open stay as they are stored ([`Store::leave_open_runs`]).
-    pub fn leaves_open_runs(&self) -> bool {
+    fn leaves_open_runs(&self) -> bool {
         self.inner.leaves_open.load(Ordering::SeqCst)
     }
 
