@@ -6,7 +6,7 @@ use std::collections::BTreeMap;
 use std::io::{BufRead, BufReader, Write};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use palpate::clock::Clock;
 use palpate::ids::{RunUid, TrialId, TrialKey};
@@ -188,13 +188,21 @@ async fn check_whole(store: &Store, acknowledged: &BTreeMap<u32, i64>) -> BTreeM
 async fn kill_9_at_30_instants_loses_doubles_and_invents_nothing() {
     const SEED: u64 = 20_261_120;
     let mut chance = ChaCha8Rng::seed_from_u64(SEED);
-    let folder = own_folder("kill");
+    let (folder, other) = (own_folder("kill"), own_folder("kill-first"));
+    // A busy machine reaches its first trial late.
+    let began = Instant::now();
+    let mut first = start(&file(&other), "");
+    let lines = BufReader::new(first.stdout.take().unwrap()).lines();
+    assert!(lines.map(Result::unwrap).any(|line| line.contains("ack ")));
+    let longest_ms = (2 * began.elapsed().as_millis() as u64).max(200);
+    first.kill().unwrap();
+    first.wait().unwrap();
     let mut acknowledged = BTreeMap::new();
     let mut unacknowledged = 0;
     for kill in 1..=30u64 {
         let mut child = start(&file(&folder), "");
         // From the creation of the file and its tables to the middle of a run.
-        std::thread::sleep(Duration::from_millis(chance.random_range(0..200)));
+        std::thread::sleep(Duration::from_millis(chance.random_range(0..longest_ms)));
         child.kill().unwrap();
         let (said, failed) = listen(&mut child);
         assert!(!child.wait().unwrap().success(), "the child ended before kill {kill}");
