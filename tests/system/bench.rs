@@ -18,7 +18,7 @@ pub use crate::common::{
 };
 
 /// Longest wait for anything that a test waits for.
-pub const LIMIT: Duration = Duration::from_secs(120);
+pub const LIMIT: Duration = Duration::from_secs(240);
 
 /// An experiment of 66 trials with one tip, named `one-tip`.
 pub const ONE_TIP: &str = "name = \"one-tip\"\nseed = 1\nsensor = \"sensors/ert-28.toml\"\n\
