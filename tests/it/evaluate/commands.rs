@@ -201,7 +201,7 @@ async fn every_command_trains_scores_and_writes_what_it_is_for() {
 async fn a_command_that_was_killed_and_runs_again_trains_no_net_twice() {
     let data = folder("evaluate-killed");
     trials(&data).await;
-    let options = ["count", "--epochs", "3000", "--rows", "40", "--scored", "20"];
+    let options = ["count", "--epochs", "1000", "--rows", "40", "--scored", "20"];
     let mut command = Command::new(PALPATE);
     command.args(["evaluate", "quantity"]).args(options).env("PALPATE_DATA", &data);
     command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());
