@@ -102,14 +102,18 @@ impl Maker {
                 )));
             }
         };
-        let answer: Answer = serde_json::from_str(&line).map_err(|error| {
+        let answer = serde_json::from_str(&line).map_err(|error| {
             MakeError::Chunk(format!("unknown answer {}: {error}", clipped(&line)))
-        })?;
-        self.running = Some(running);
-        match answer {
-            Answer::Done(done) => Ok(done),
-            Answer::Failed { error, machine: true } => Err(MakeError::Refused(error)),
-            Answer::Failed { error, machine: false } => Err(MakeError::Chunk(error)),
+        });
+        match answer? {
+            Answer::Done(done) => {
+                self.running = Some(running);
+                Ok(done)
+            }
+            Answer::Failed { error, machine } => {
+                self.running = Some(running);
+                Err(if machine { MakeError::Refused(error) } else { MakeError::Chunk(error) })
+            }
         }
     }
 

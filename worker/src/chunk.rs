@@ -2,7 +2,6 @@
 //! Uses: `store`, `inputs`, `child`. Never: the queue; bytes whose key, length or hash is not what the program stated.
 
 use std::collections::BTreeMap;
-use std::fmt::Display;
 use std::path::{Path, PathBuf};
 
 use tokio::fs;
@@ -79,13 +78,14 @@ impl Bench {
         let (row, path) =
             (results.join(format!("{key}.json")), results.join(order.bytes_name(&key)));
         // The row has more than the answer: host and commit.
-        let done: Done =
-            serde_json::from_slice(&read(&row).await?).map_err(|error| at(&row, error))?;
+        let done: Done = serde_json::from_slice(&read(&row).await?)
+            .map_err(|error| MakeError::Machine(format!("{}: {error}", row.display())))?;
         if (&done.key, &done.sha256, done.bytes) != (&made.key, &made.sha256, made.bytes) {
-            return Err(at(&row, "differs from the answer"));
+            return Err(MakeError::Machine(format!("{}: differs from the answer", row.display())));
         }
         let bytes = read(&path).await?;
-        check(&bytes, &done).map_err(|what| at(&path, what))?;
+        check(&bytes, &done)
+            .map_err(|what| MakeError::Machine(format!("{}: {what}", path.display())))?;
         self.store.put_result(&order, &done, bytes.into()).await.map_err(machine)?;
         // What remains is removed with the folder of the worker.
         drop(fs::remove_file(&path).await);
@@ -110,7 +110,9 @@ impl Bench {
                 fs::create_dir_all(&folder).await?;
                 fs::write(folder.join(ORDER_FILE), &text).await
             };
-            written.await.map_err(|error| at(&folder, error))?;
+            written
+                .await
+                .map_err(|error| MakeError::Machine(format!("{}: {error}", folder.display())))?;
             if self.orders.len() >= ORDERS_KEPT
                 && let Some((old, _)) = self.orders.pop_first()
             {
@@ -129,12 +131,7 @@ impl Bench {
 }
 
 async fn read(path: &Path) -> Result<Vec<u8>, MakeError> {
-    fs::read(path).await.map_err(|error| at(path, error))
-}
-
-/// What is wrong with a file of this machine.
-fn at(path: &Path, what: impl Display) -> MakeError {
-    MakeError::Machine(format!("{}: {what}", path.display()))
+    fs::read(path).await.map_err(|error| MakeError::Machine(format!("{}: {error}", path.display())))
 }
 
 /// Why an order or its inputs are not here.

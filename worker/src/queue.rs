@@ -149,11 +149,12 @@ impl Queue {
     /// # Errors
     /// `WorkerError::NotSetUp` if the queue has no tables, `Queue` if it does not answer.
     pub async fn orders(&self, without: &[String]) -> WorkerResult<TaskDetails> {
+        let pool = self.pool();
         let query = sqlx::query_as(
             "SELECT id, identifier FROM palpate_queue._private_tasks WHERE identifier <> ALL($1)",
         );
         let rows: Vec<(i32, String)> =
-            self.answer(ANSWER, query.bind(without).fetch_all(&self.pool())).await?;
+            self.answer(ANSWER, query.bind(without).fetch_all(&pool)).await?;
         let mut orders = TaskDetails::new();
         for (id, order) in rows {
             orders.insert(id, order);
@@ -183,12 +184,13 @@ impl Queue {
     /// # Errors
     /// `WorkerError` if the queue does not answer.
     pub async fn has_work(&self, allowed: &[String]) -> WorkerResult<bool> {
+        let pool = self.pool();
         let query = sqlx::query_scalar(
             "SELECT EXISTS (SELECT FROM palpate_queue._private_jobs \
              WHERE (locked_at IS NOT NULL OR attempts < max_attempts) \
              AND (flags IS NULL OR flags - $1::text[] = '{}'::jsonb))",
         );
-        self.answer(ANSWER, query.bind(allowed).fetch_one(&self.pool())).await
+        self.answer(ANSWER, query.bind(allowed).fetch_one(&pool)).await
     }
 
     /// Removes a chunk that is done.
@@ -223,6 +225,7 @@ impl Queue {
     ) -> WorkerResult<()> {
         let payload =
             serde_json::to_string(chunk).map_err(|error| WorkerError::Queue(error.to_string()))?;
+        let pool = self.pool();
         let query = sqlx::query(
             "UPDATE palpate_queue._private_jobs \
              SET payload = $3::text::json, last_error = $4, updated_at = now(), \
@@ -230,7 +233,7 @@ impl Queue {
              WHERE id = $1 AND locked_by = $2",
         );
         let query = query.bind(*job.id()).bind(worker).bind(payload).bind(error);
-        self.answer(ANSWER, query.execute(&self.pool())).await?;
+        self.answer(ANSWER, query.execute(&pool)).await?;
         self.return_jobs(&[*job.id()], worker).await
     }
 
@@ -239,13 +242,14 @@ impl Queue {
     /// # Errors
     /// `WorkerError` if the queue does not answer.
     pub async fn set_aside(&self, order: &str, error: &str) -> WorkerResult<()> {
+        let pool = self.pool();
         let query = sqlx::query(
             "UPDATE palpate_queue._private_jobs \
              SET attempts = max_attempts, last_error = $2, updated_at = now() \
              WHERE key LIKE $1 || '/%' AND locked_at IS NULL AND attempts < max_attempts",
         );
         let query = query.bind(order).bind(error);
-        self.answer(ANSWER, query.execute(&self.pool())).await.map(drop)
+        self.answer(ANSWER, query.execute(&pool)).await.map(drop)
     }
 
     /// Renews the lease of a worker.
@@ -268,12 +272,13 @@ impl Queue {
         held: &[i64],
         since: Duration,
     ) -> WorkerResult<usize> {
+        let pool = self.pool();
         let query = sqlx::query_scalar(
             "SELECT id FROM palpate_queue._private_jobs WHERE locked_by = $1 AND id <> ALL($2) \
              AND locked_at < now() - make_interval(secs => $3)",
         );
         let query = query.bind(worker).bind(held).bind(since.as_secs_f64());
-        let unknown: Vec<i64> = self.answer(ANSWER, query.fetch_all(&self.pool())).await?;
+        let unknown: Vec<i64> = self.answer(ANSWER, query.fetch_all(&pool)).await?;
         if !unknown.is_empty() {
             self.return_jobs(&unknown, worker).await?;
         }
@@ -282,8 +287,9 @@ impl Queue {
 
     /// Returns chunks that a worker has taken. Their attempts do not count.
     async fn return_jobs(&self, jobs: &[i64], worker: &str) -> WorkerResult<()> {
+        let pool = self.pool();
         let query = sqlx::query("SELECT palpate_queue._private_return_jobs($1, $2)");
-        self.answer(ANSWER, query.bind(worker).bind(jobs).execute(&self.pool())).await.map(drop)
+        self.answer(ANSWER, query.bind(worker).bind(jobs).execute(&pool)).await.map(drop)
     }
 
     /// Ends the lease of a worker.
@@ -357,12 +363,12 @@ impl Queue {
     /// # Errors
     /// `WorkerError` if the queue does not answer.
     pub async fn present(&self, order: &str) -> WorkerResult<Vec<u64>> {
+        let pool = self.pool();
         let query = sqlx::query_scalar(
             "SELECT (payload->>'index')::bigint FROM palpate_queue._private_jobs \
              WHERE key LIKE $1 || '/%' AND (locked_at IS NOT NULL OR attempts < max_attempts)",
         );
-        let found: Vec<i64> =
-            self.answer(ANSWER, query.bind(order).fetch_all(&self.pool())).await?;
+        let found: Vec<i64> = self.answer(ANSWER, query.bind(order).fetch_all(&pool)).await?;
         Ok(found.into_iter().filter_map(|index| u64::try_from(index).ok()).collect())
     }
 
@@ -371,11 +377,12 @@ impl Queue {
     /// # Errors
     /// `WorkerError` if the queue does not answer.
     pub async fn forget_failed(&self, order: &str) -> WorkerResult<u64> {
+        let pool = self.pool();
         let query = sqlx::query(
             "DELETE FROM palpate_queue._private_jobs \
              WHERE key LIKE $1 || '/%' AND locked_at IS NULL AND attempts >= max_attempts",
         );
-        Ok(self.answer(ANSWER, query.bind(order).execute(&self.pool())).await?.rows_affected())
+        Ok(self.answer(ANSWER, query.bind(order).execute(&pool)).await?.rows_affected())
     }
 
     /// Removes all chunks of an order. A worker that makes one ends it, and removes nothing more.
@@ -383,9 +390,10 @@ impl Queue {
     /// # Errors
     /// `WorkerError` if the queue does not answer.
     pub async fn cancel(&self, order: &str) -> WorkerResult<u64> {
+        let pool = self.pool();
         let query =
             sqlx::query("DELETE FROM palpate_queue._private_jobs WHERE key LIKE $1 || '/%'");
-        Ok(self.answer(ANSWER, query.bind(order).execute(&self.pool())).await?.rows_affected())
+        Ok(self.answer(ANSWER, query.bind(order).execute(&pool)).await?.rows_affected())
     }
 
     /// Forgets the orders that have no chunk in the queue: each take reads all that it knows.
@@ -401,6 +409,7 @@ impl Queue {
     /// # Errors
     /// `WorkerError` if the queue does not answer.
     pub async fn backlogs(&self) -> WorkerResult<Vec<Backlog>> {
+        let pool = self.pool();
         let query = sqlx::query_as(
             "SELECT split_part(key, '/', 1), \
                count(*) FILTER (WHERE locked_at IS NULL AND attempts < max_attempts), \
@@ -411,7 +420,7 @@ impl Queue {
              FROM palpate_queue._private_jobs WHERE key IS NOT NULL GROUP BY 1 ORDER BY 1",
         );
         let rows: Vec<(String, i64, i64, i64, Option<String>, i64)> =
-            self.answer(ANSWER, query.fetch_all(&self.pool())).await?;
+            self.answer(ANSWER, query.fetch_all(&pool)).await?;
         let number = |count: i64| u64::try_from(count).unwrap_or(0);
         Ok(rows
             .into_iter()

@@ -13,7 +13,7 @@ use crate::store::{INPUTS, Part, Store};
 use crate::{WorkerError, WorkerResult};
 
 /// What a submission added to the queue, and what was there.
-#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct Submitted {
     /// Id of the order.
     pub order: String,
@@ -66,8 +66,14 @@ pub async fn submit(
     // Set aside chunks leave the queue first: the same name is then free.
     queue.forget_failed(&order.id).await?;
     let present: BTreeSet<u64> = queue.present(&order.id).await?.into_iter().collect();
-    let mut submitted =
-        Submitted { order: order.id.clone(), chunks: order.chunks, ..Submitted::default() };
+    let mut submitted = Submitted {
+        order: order.id.clone(),
+        chunks: order.chunks,
+        done: 0,
+        present: 0,
+        added: 0,
+        again: 0,
+    };
     let mut chunks = Vec::new();
     for index in 0..order.chunks {
         let key = order.key(index);

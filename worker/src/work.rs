@@ -133,15 +133,17 @@ pub async fn work(queue: Queue, store: Store, work: Work) -> WorkerResult<()> {
     let mut ended = Ok(());
     loop {
         tokio::select! {
-            slot = slots.join_next() => {
-                let Some(slot) = slot else { break };
-                let slot = slot.unwrap_or_else(|error| {
-                    Err(WorkerError::Failed(format!("a slot of the worker ended: {error}")))
-                });
-                if let Err(error) = slot {
+            slot = slots.join_next() => match slot {
+                Some(Ok(Ok(()))) => (),
+                Some(Ok(Err(error))) => {
                     ended = Err(error);
                     tell.send_replace(true);
                 }
+                Some(Err(error)) => {
+                    ended = Err(WorkerError::Failed(format!("a slot of the worker ended: {error}")));
+                    tell.send_replace(true);
+                }
+                None => break,
             },
             kind = signals.next() => {
                 // The shell and the kernel may both report that the terminal was closed.

@@ -190,17 +190,6 @@ pub fn tables(files: &[PathBuf], dataset: &str) -> Vec<Table> {
     ]
 }
 
-/// Trials 0 to 39; every tenth lacks a twin.
-pub const FEW: Trials = Trials { first: 0, count: 40, channels: 16, without_twin: 10 };
-
-/// A folder with a file of trials, and the tables over it; the dataset is `run-3`.
-pub fn stored(name: &str, trials: &Trials) -> (Folder, Vec<Table>) {
-    let folder = Folder::new(name);
-    let path = folder.file("a.parquet");
-    trials.write(&path);
-    (folder, tables(&[path], "run-3"))
-}
-
 /// What the program did.
 #[derive(Debug)]
 pub enum Outcome {

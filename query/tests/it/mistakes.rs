@@ -1,7 +1,7 @@
 //! The refusals of likely mistakes, whole.
 //! Uses: `common`. Never: a part of a refusal.
 
-use crate::common::{BOUNDS, Bounds, FEW, ask, stored};
+use crate::common::{BOUNDS, Bounds, Folder, Trials, ask, tables};
 
 const TRIALS: &str = "there are trial_id, scan_id, label, tips, contact_count, max_force_n, sim_model, \
                       rmse_v, fvu, measured_at, contacts";
@@ -82,7 +82,10 @@ const MISTAKES: &[(&str, &str)] = &[
 
 #[test]
 fn a_likely_mistake_is_refused_by_a_sentence_about_the_statement() {
-    let (_folder, known) = stored("mistakes", &FEW);
+    let folder = Folder::new("mistakes");
+    let path = folder.file("a.parquet");
+    Trials { first: 0, count: 40, channels: 16, without_twin: 10 }.write(&path);
+    let known = tables(&[path], "run-3");
     let mut failures = Vec::new();
     for (sql, refusal) in MISTAKES {
         let found = ask(sql, &known, BOUNDS).refused();
@@ -100,7 +103,11 @@ fn a_likely_mistake_is_refused_by_a_sentence_about_the_statement() {
 
 #[test]
 fn a_statement_that_polars_would_answer_in_another_way_is_answered_as_in_sql() {
-    let (_folder, known) = stored("meaning", &FEW);
+    let folder = Folder::new("meaning");
+    let path = folder.file("a.parquet");
+    let trials = Trials { first: 0, count: 40, channels: 16, without_twin: 10 };
+    trials.write(&path);
+    let known = tables(&[path], "run-3");
     let text = |sql: &str| crate::common::text(&ask(sql, &known, BOUNDS).rows());
     // Two columns of polars' name `fvu`.
     let both = ask("SELECT min(fvu), max(fvu) FROM trials", &known, BOUNDS).rows();
@@ -118,7 +125,7 @@ fn a_statement_that_polars_would_answer_in_another_way_is_answered_as_in_sql() {
     assert_eq!(text(top), text("SELECT trial_id FROM trials ORDER BY fvu DESC NULLS LAST LIMIT 1"));
     let all = ask("SELECT * FROM trials WHERE fvu < (SELECT avg(fvu) FROM trials)", &known, BOUNDS)
         .rows();
-    assert_eq!(all.width(), FEW.rows().width() - 2, "no column more than the table's");
+    assert_eq!(all.width(), trials.rows().width() - 2, "no column more than the table's");
     let with = "SELECT trial_id FROM trials WHERE tips = 1 AND trial_id > (SELECT avg(trial_id) FROM trials \
                 WHERE fvu < (SELECT max(fvu) FROM trials)) ORDER BY trial_id LIMIT 2";
     assert_eq!(text(with), "21\n25");

@@ -1,7 +1,7 @@
 //! The examples of the manual of SQL.
 //! Uses: `common`, `docs/query-sql.md`. Never: an example that is not run.
 
-use crate::common::{BOUNDS, Bounds, FEW, Outcome, Trials, ask, stored};
+use crate::common::{BOUNDS, Bounds, Folder, Outcome, Trials, ask, tables};
 
 const DOCUMENT: &str = include_str!("../../../docs/query-sql.md");
 
@@ -21,7 +21,10 @@ fn examples() -> Vec<&'static str> {
 
 #[test]
 fn every_example_of_the_page_has_rows() {
-    let (_folder, known) = stored("page", &Trials { count: 200, ..FEW });
+    let folder = Folder::new("page");
+    let path = folder.file("a.parquet");
+    Trials { first: 0, count: 200, channels: 16, without_twin: 10 }.write(&path);
+    let known = tables(&[path], "run-3");
     let examples = examples();
     assert!(examples.len() > 50, "{}", examples.len());
     let mut failures = Vec::new();

@@ -8,7 +8,7 @@ use std::time::Duration;
 
 use palpate_words::query_lines::Answer;
 
-use crate::common::{BOUNDS, Bounds, Engine, FEW, Folder, Outcome, Trials, ask, stored};
+use crate::common::{BOUNDS, Bounds, Engine, Folder, Outcome, Trials, ask, tables};
 
 const SIGABRT: i32 = 6;
 /// Far more than the test takes.
@@ -19,10 +19,12 @@ const ENDLESS: &str = "SELECT sum(fvu * c) FROM trials CROSS JOIN (SELECT fvu * 
 
 /// Starts a statement that does not end over 1000 trials, with its tables.
 fn started(name: &str) -> (Engine, Folder) {
-    let (folder, known) = stored(name, &Trials { count: 1000, channels: 0, ..FEW });
+    let folder = Folder::new(name);
+    let path = folder.file("a.parquet");
+    Trials { first: 0, count: 1000, channels: 0, without_twin: 10 }.write(&path);
     let mut engine = Engine::start(ENDLESS, BOUNDS);
     assert_eq!(engine.hear(), Some(Answer::Tables(vec!["trials".into()])));
-    engine.say(&known[..1].to_vec());
+    engine.say(&tables(&[path], "run-3")[..1].to_vec());
     (engine, folder)
 }
 
@@ -88,7 +90,10 @@ fn it_ends_with_its_input_while_it_computes() {
 
 #[test]
 fn too_much_memory_ends_it_with_the_words_that_the_service_knows() {
-    let (_folder, known) = stored("memory", &Trials { count: 2000, channels: 784, ..FEW });
+    let folder = Folder::new("memory");
+    let path = folder.file("a.parquet");
+    Trials { first: 0, count: 2000, channels: 784, without_twin: 10 }.write(&path);
+    let known = tables(&[path], "run-3");
     let bounds = Bounds { memory_max_bytes: 600 << 20, ..BOUNDS };
     let refusal = "sql: needs more than 600 MiB of memory: select fewer rows or columns";
     for sql in [

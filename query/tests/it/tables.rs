@@ -6,7 +6,10 @@ use std::collections::BTreeMap;
 use palpate_words::query_lines::{Form, Table};
 use polars::prelude::*;
 
-use crate::common::{BOUNDS, FEW, Folder, Trials, ask, stored, table, tables, text, write};
+use crate::common::{BOUNDS, Folder, Trials, ask, table, tables, text, write};
+
+/// Trials 0 to 39; every tenth lacks a twin.
+const FEW: Trials = Trials { first: 0, count: 40, channels: 16, without_twin: 10 };
 
 /// The rows that a statement returns, as text.
 fn answer(sql: &str, known: &[Table]) -> String {
@@ -15,7 +18,10 @@ fn answer(sql: &str, known: &[Table]) -> String {
 
 #[test]
 fn each_form_has_its_rows_and_columns() {
-    let (_folder, known) = stored("forms", &FEW);
+    let folder = Folder::new("forms");
+    let path = folder.file("a.parquet");
+    FEW.write(&path);
+    let known = tables(std::slice::from_ref(&path), "run-3");
     let columns = |sql: &str| {
         let rows = ask(sql, &known, BOUNDS).rows();
         rows.get_column_names().iter().map(|name| name.as_str()).collect::<Vec<_>>().join(" ")
@@ -51,7 +57,10 @@ fn each_form_has_its_rows_and_columns() {
 
 #[test]
 fn a_voltage_has_its_position_injection_and_pair_and_its_twin_if_there_is_one() {
-    let (_folder, known) = stored("voltages", &FEW);
+    let folder = Folder::new("voltages");
+    let path = folder.file("a.parquet");
+    FEW.write(&path);
+    let known = tables(&[path], "run-3");
     let rows = ask("SELECT * FROM voltages ORDER BY trial_id, position", &known, BOUNDS).rows();
     let u32s = |name: &str| rows.column(name).unwrap().u32().unwrap().clone();
     let (injection, pair) = (u32s("injection"), u32s("pair"));
@@ -131,7 +140,11 @@ fn a_column_that_a_file_lacks_is_null_there() {
 
 #[test]
 fn the_fvu_by_pair_of_electrodes_is_the_one_computed_without_sql() {
-    let (_folder, known) = stored("fvu", &Trials { count: 200, channels: 784, ..FEW });
+    let folder = Folder::new("fvu");
+    let path = folder.file("a.parquet");
+    let trials = Trials { first: 0, count: 200, channels: 784, without_twin: 10 };
+    trials.write(&path);
+    let known = tables(&[path], "run-3");
     let sql = "SELECT pair, \
                sum((v - s) * (v - s)) / (sum(v * v) - sum(v) * sum(v) / count(*)) AS fvu \
                FROM (SELECT pair, CAST(voltage_v AS DOUBLE) AS v, CAST(sim_voltage_v AS DOUBLE) AS s \

@@ -217,12 +217,6 @@ impl Worker {
         server::run(Command::new("kill").args(["-s", name, &self.process.id().to_string()]));
     }
 
-    /// Sends SIGTERM, after which it must end and succeed.
-    pub fn ends_when_told(&mut self, within: Duration) {
-        self.terminate();
-        assert!(self.ended(within), "{}", self.log());
-    }
-
     /// Waits for its end, and returns whether it succeeded.
     pub fn ended(&mut self, within: Duration) -> bool {
         let until = Instant::now() + within;
@@ -255,11 +249,6 @@ pub fn until(what: &str, within: Duration, mut holds: impl FnMut() -> bool) {
         assert!(Instant::now() < end, "not within {within:?}: {what}");
         std::thread::sleep(Duration::from_millis(50));
     }
-}
-
-/// Numbers in the state of an order.
-pub fn counts<const N: usize>(status: &Value, keys: [&str; N]) -> [u64; N] {
-    keys.map(|key| status[key].as_u64().unwrap())
 }
 
 /// Path of the stand-in.

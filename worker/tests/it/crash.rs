@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 
 use serde_json::json;
 
-use crate::bench::{Bench, Worker, counts, until};
+use crate::bench::{Bench, Worker, until};
 use crate::proxy::Proxy;
 
 /// Wall time of a chunk, ms, and pauses between two disturbances, ms.
@@ -69,10 +69,14 @@ fn bytes_are_those_of_one_undisturbed_process() {
     });
     let seconds = began.elapsed().as_secs_f64();
     for worker in &mut workers {
-        worker.ends_when_told(Duration::from_secs(20));
+        worker.terminate();
+        assert!(worker.ended(Duration::from_secs(20)), "{}", worker.log());
     }
     let status = bench.status(&made);
-    assert_eq!(counts(&status, ["waiting", "failed", "missing"]), [0, 0, 0]);
+    assert_eq!(
+        (&status["waiting"], &status["failed"], &status["missing"]),
+        (&json!(0), &json!(0), &json!(0))
+    );
     assert!(made.stored(&bench) == made.undisturbed());
     let results = fs::read_dir(made.stored_in(&bench)).unwrap().flatten();
     let names: Vec<String> =

@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use serde_json::json;
 
-use crate::bench::{Bench, Made, counts, text, until};
+use crate::bench::{Bench, Made, text, until};
 
 const SOON: Duration = Duration::from_secs(30);
 
@@ -13,20 +13,25 @@ const SOON: Duration = Duration::from_secs(30);
 fn an_order_is_made_fetched_and_equal_to_that_of_one_process() {
     let Some(bench) = Bench::start() else { return };
     let made = bench.order(12, json!({ "seed": 7, "scale": 0.1 }));
-    let submitted = || bench.ok(&["submit", made.path()]);
-    assert!(submitted().contains("12 submitted"));
-    assert!(submitted().contains("0 submitted (0 had failed), 12 in the queue"));
+    assert!(bench.ok(&["submit", made.path()]).contains("12 submitted"));
+    assert!(
+        bench.ok(&["submit", made.path()]).contains("0 submitted (0 had failed), 12 in the queue")
+    );
     let mut worker = bench.worker(&bench.address, &["--until-idle", "--at-once", "2"]);
     assert!(worker.ended(SOON), "{}", worker.log());
     let status = bench.status(&made);
-    assert_eq!(counts(&status, ["done", "missing"]), [12, 0]);
+    assert_eq!((&status["done"], &status["missing"]), (&json!(12), &json!(0)));
     assert!(made.stored(&bench) == made.undisturbed());
     // A row states what the program has written, not what the worker knows.
     let row = fs::read(made.row(&bench, 5)).unwrap();
     let row: serde_json::Value = serde_json::from_slice(&row).unwrap();
     assert_eq!((&row["made_by"], &row["commit"]), (&json!("stand-in"), &json!("0000000")));
     // The next submission finds all done.
-    assert!(submitted().contains("0 submitted (0 had failed), 0 in the queue, 12 done"));
+    assert!(
+        bench
+            .ok(&["submit", made.path()])
+            .contains("0 submitted (0 had failed), 0 in the queue, 12 done")
+    );
 
     let fetched = bench.folder.path().join("fetched");
     let short = &made.order.id[..8];
@@ -77,7 +82,8 @@ fn files_of_an_order_are_stored_once_fetched_and_compared_with_their_hash() {
     assert!(third.stored(&bench)[0].is_none());
     bench.ok(&["submit", third.path()]);
     until("the chunk is made", SOON, || bench.status(&third)["done"] == json!(1));
-    worker.ends_when_told(SOON);
+    worker.terminate();
+    assert!(worker.ended(SOON), "{}", worker.log());
     assert!(third.stored(&bench) == third.undisturbed());
     // One that is damaged in the folder of its order is not stored.
     let fourth = bench.order_on(1, json!({ "seed": 4 }), &[&b"own"[..]]);
@@ -102,10 +108,14 @@ fn a_damaged_result_is_named_discarded_and_made_again() {
     let fetch = ["fetch", &made.order.id, fetched.to_str().unwrap()];
     let output = bench.try_run(&fetch);
     assert_eq!(output.status.code(), Some(1));
-    let is_named = text(&output.stderr).contains(&key);
-    assert!(is_named && text(&output.stdout).contains("2 of 3"), "{output:?}");
-    let discarded = bench.try_run(&[&fetch[..], &["--discard-damaged"]].concat());
-    assert_eq!(discarded.status.code(), Some(1));
+    assert!(
+        text(&output.stderr).contains(&key) && text(&output.stdout).contains("2 of 3"),
+        "{output:?}"
+    );
+    assert_eq!(
+        bench.try_run(&[&fetch[..], &["--discard-damaged"]].concat()).status.code(),
+        Some(1)
+    );
     assert!(bench.ok(&["submit", made.path()]).contains("1 submitted"));
     assert!(bench.worker(&bench.address, &["--until-idle"]).ended(SOON));
     bench.ok(&fetch);
@@ -148,8 +158,11 @@ fn a_worker_takes_what_it_can_do_and_high_priority_first() {
         |made: &Made, index| fs::metadata(made.row(&bench, index)).unwrap().modified().unwrap();
     let last_high = written(&high, 0).max(written(&high, 1));
     assert!(last_high < written(&low, 0).min(written(&low, 1)));
-    let fit = ["--gpu", "--memory-mib", "3072", "--until-idle"];
-    assert!(bench.worker(&bench.address, &fit).ended(SOON));
+    assert!(
+        bench
+            .worker(&bench.address, &["--gpu", "--memory-mib", "3072", "--until-idle"])
+            .ended(SOON)
+    );
     assert_eq!(bench.status(&gpu)["done"], json!(2));
 }
 
@@ -164,8 +177,10 @@ fn a_cancelled_order_is_made_no_more() {
     assert!(bench.ok(&["cancel", &made.order.id]).contains("5 chunks removed"));
     assert_eq!(orders(), "2");
     assert!(bench.worker(&bench.address, &["--until-idle"]).ended(SOON));
-    let done = [&made, &other].map(|made| bench.status(made)["done"].clone());
-    assert_eq!(done, [0, 2]);
+    assert_eq!(
+        (&bench.status(&made)["done"], &bench.status(&other)["done"]),
+        (&json!(0), &json!(2))
+    );
     let output = bench.try_run(&["status", &made.order.id, "--wait"]);
     assert_eq!(output.status.code(), Some(1), "an order that is not complete");
     // A submission forgets the orders of which nothing is left to make.
@@ -182,9 +197,13 @@ fn after_sigterm_the_present_chunk_is_completed_and_no_other_taken() {
     bench.ok(&["submit", made.path()]);
     let mut worker = bench.worker(&bench.address, &[]);
     until("a chunk is made", SOON, || bench.status(&made)["running"] == json!(1));
-    worker.ends_when_told(Duration::from_secs(10));
+    worker.terminate();
+    assert!(worker.ended(Duration::from_secs(10)), "{}", worker.log());
     let status = bench.status(&made);
-    assert_eq!(counts(&status, ["done", "running", "waiting"]), [1, 0, 5]);
+    assert_eq!(
+        (&status["done"], &status["running"], &status["waiting"]),
+        (&json!(1), &json!(0), &json!(5))
+    );
     let workers: serde_json::Value =
         serde_json::from_str(&bench.ok(&["status", "--json"])).unwrap();
     assert_eq!(workers["workers"], json!([]));
@@ -206,7 +225,8 @@ fn after_sigterm_the_present_chunk_is_completed_and_no_other_taken() {
     let mut next = bench.worker(&bench.address, &[]);
     let all_done = || bench.status(&made)["done"] == json!(6);
     until("all are done", SOON, all_done);
-    next.ends_when_told(SOON);
+    next.terminate();
+    assert!(next.ended(SOON));
     assert!(made.stored(&bench) == made.undisturbed());
     let scratch: Vec<_> = fs::read_dir(bench.folder.path().join("scratch")).unwrap().collect();
     assert!(scratch.is_empty(), "{scratch:?}");

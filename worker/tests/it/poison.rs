@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use serde_json::{Value, json};
 
-use crate::bench::{Bench, counts, until};
+use crate::bench::{Bench, until};
 
 const SOON: Duration = Duration::from_secs(40);
 
@@ -16,9 +16,13 @@ fn a_chunk_that_fails_dies_or_hangs_is_set_aside_with_its_error() {
     bench.ok(&["submit", made.path(), "--attempts", "2"]);
     let mut worker = bench.worker(&bench.address, &["--at-once", "2", "--limit-s", "2"]);
     bench.try_run(&["status", &made.order.id, "--wait"]);
-    worker.ends_when_told(SOON);
+    worker.terminate();
+    assert!(worker.ended(SOON));
     let status = bench.status(&made);
-    assert_eq!(counts(&status, ["done", "failed", "missing"]), [5, 3, 0]);
+    assert_eq!(
+        (&status["done"], &status["failed"], &status["missing"]),
+        (&json!(5), &json!(3), &json!(0))
+    );
     let error = |index: u64| -> Value {
         let name = format!("{}.json", made.order.key(index));
         let text = fs::read(bench.store().join(&made.order.id).join("failed").join(name)).unwrap();
@@ -83,12 +87,13 @@ fn a_machine_that_cannot_make_chunks_does_not_use_up_their_attempts() {
         let mut sick = bench.worker(&bench.address, &options);
         // It is tried several times, each time with the same chunk, and no attempt counts.
         until("it is tried again", SOON, || sick.log().matches(expected).count() > 1);
-        sick.ends_when_told(SOON);
+        sick.terminate();
+        assert!(sick.ended(SOON));
         if !stored.exists() {
             fs::rename(&elsewhere, &stored).unwrap();
         }
         let status = bench.status(&made);
-        assert_eq!(counts(&status, ["waiting", "again"]), [30, 1]);
+        assert_eq!((&status["waiting"], &status["again"]), (&json!(30), &json!(1)));
         assert!(status["again_error"].as_str().unwrap().contains(expected), "{status}");
         assert_eq!(bench.asked("SELECT max(attempts) FROM palpate_queue._private_jobs"), "0");
         bench.ok(&["cancel", made.path()]);
@@ -104,7 +109,8 @@ fn an_order_that_machines_refuse_blocks_no_other_and_is_set_aside_in_the_end() {
     bench.ok(&["submit", made.path(), "--priority", "low"]);
     let mut worker = bench.worker(&bench.address, &[]);
     until("the other order is made", SOON, || bench.status(&made)["done"] == json!(8));
-    worker.ends_when_told(SOON);
+    worker.terminate();
+    assert!(worker.ended(SOON));
     assert_eq!(bench.status(&refused)["waiting"], json!(30));
     // As after some days.
     bench.asked(
@@ -113,7 +119,10 @@ fn an_order_that_machines_refuse_blocks_no_other_and_is_set_aside_in_the_end() {
     let mut last = bench.worker(&bench.address, &["--until-idle"]);
     assert!(last.ended(SOON), "{}", last.log());
     let status = bench.status(&refused);
-    assert_eq!(counts(&status, ["waiting", "failed", "missing"]), [0, 30, 0]);
+    assert_eq!(
+        (&status["waiting"], &status["failed"], &status["missing"]),
+        (&json!(0), &json!(30), &json!(0))
+    );
     let error = status["errors"][0]["error"].as_str().unwrap();
     assert!(
         error.contains("refused 5000 times") && error.contains("no kernel of the order"),
