@@ -24,7 +24,7 @@ import views
 import weighing
 
 # Longest scenario, s: nothing else limits what is evaluated in a page. Where it stood is then printed.
-LIMIT_S = 900
+LIMIT_S = 1800
 SCENARIOS = {one.__name__: one for one in (
     campaign.first_evening, campaign.operate, campaign.abort, campaign.motion, campaign.keyboard, weighing.place,
     weighing.wrong_weight, touching.touch, access.viewer, connection.lost, accessibility.axe, accessibility.axe_empty,

@@ -4,7 +4,7 @@ import math
 import pathlib
 import re
 
-from playwright.sync_api import expect
+from playwright.sync_api import TimeoutError, expect
 
 import views
 from person import (LIMIT_MS, RUN_MS, URL, a_viewer, api, asked, button, confirmed, hands, in_dialog, named, pressed,
@@ -13,6 +13,8 @@ from person import (LIMIT_MS, RUN_MS, URL, a_viewer, api, asked, button, confirm
 SENSOR = pathlib.Path(__file__).parents[3] / "experiments/sensors/ert-28.toml"
 WEIGHTS = ("name = 'weights'\nseed = 3\nsensor = 's'\n[real_random]\ncontacts = [2]\ntrials_each = 3\n"
            "weights_n = [9.81]\n[measure]\nframes_per_trial = 10\n")
+# Longest answer of the service to a key.
+KEY_MS = 10_000
 # Far from each other and from the rim, mm.
 PLACES = [(x, y) for x in (120.0, 270.0, 420.0) for y in (120.0, 280.0, 440.0)]
 
@@ -100,8 +102,19 @@ def wrong_weight(page, _browser):
 
 
 def confirmation(page):
-    """Presses the key of the foot switch; returns the answer of the service."""
+    """Presses the key of the foot switch; returns the answer of the service.
+
+    The page takes no key while the skin moves or its state is old, which may begin after the button was looked at: a
+    person presses again, and the key confirms the placement that is shown, no other.
+    """
     is_action = lambda answer: answer.request.method == "POST" and answer.url.endswith("/actions")
-    with page.expect_response(is_action, timeout=LIMIT_MS) as answer:
-        page.keyboard.press("PageDown")
-    return answer.value
+
+    def answered():
+        try:
+            with page.expect_response(is_action, timeout=KEY_MS) as answer:
+                page.keyboard.press("PageDown")
+            return answer.value
+        except TimeoutError:
+            return None
+
+    return until("an answer to the key", answered)
