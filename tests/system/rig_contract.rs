@@ -106,10 +106,14 @@ async fn home(axis: &Arc<dyn Axis>) {
     until(axis, "homing", |s| s.homed && !s.moving).await;
 }
 
-/// After an alarm and after a loss of power: reset, prepare, home, and it moves to its target.
+/// After an alarm, a loss of power and a motor that is off: reset, prepare, home, and it moves to its target.
 async fn comes_back(rig: &VirtualRig, x: &Arc<dyn Axis>) {
-    for kind in ["alarm", "power_loss"] {
+    for kind in ["alarm", "power_loss", "motor_off"] {
         tell(rig, fault(kind, "x", json!({ "count": 1 }))).await;
+        if kind == "motor_off" {
+            let off = x.status().await.unwrap();
+            assert!(!off.ready && off.homed && off.alarm.is_none(), "{off:?}");
+        }
         if kind == "alarm" {
             let refused = x.prepare().await.unwrap_err();
             assert!(matches!(refused, RigError::NotReady { .. }), "{refused}");
@@ -117,7 +121,7 @@ async fn comes_back(rig: &VirtualRig, x: &Arc<dyn Axis>) {
         }
         x.reset_alarm().await.unwrap();
         let found = x.prepare().await.unwrap();
-        assert!(kind == "alarm" || found.contains("not homed"), "{kind}: {found}");
+        assert!(kind != "power_loss" || found.contains("not homed"), "{kind}: {found}");
         let back = x.status().await.unwrap();
         assert!(back.ready && back.alarm.is_none(), "{kind}: {back:?}");
         home(x).await;

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeSet;
 use std::path::Path;
+use std::time::Duration;
 
 use palpate::campaign::bench::interlock::TripKind;
 use palpate::campaign::bench::rig_state::RigState;
@@ -131,6 +132,55 @@ async fn an_alarm_of_z_in_contact_is_for_a_person_and_the_run_goes_on_afterwards
     }
     assert_eq!(harness.truth().await["lateral_in_contact"], 0);
     harness.close().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_drive_that_switches_its_motor_off_ends_the_press_and_waits_for_a_person() {
+    for (axis, place) in [("x", 0_usize), ("z", 2)] {
+        let harness = Harness::homed().await;
+        harness.run_that_resumes("").await;
+        harness.stored(3).await;
+        // A load is held and measured. A commit that had begun ends before the one that waits.
+        harness.journal.set(Mood::Hangs);
+        harness.until("a commit", committing).await;
+        tokio::time::sleep(Duration::from_millis(50)).await;
+        harness.until("a commit that waits", committing).await;
+        let held = harness.truth().await;
+        assert_eq!(held["pressing"], true, "{held:#}");
+        let measured = harness.taken_trials() + 1;
+        harness.fault("motor_off", axis, json!({ "count": 1 })).await;
+        harness.journal.set(Mood::Sound);
+        let status = harness.tripped().await;
+        let (trip, end) = (status.rig.trip.unwrap(), status.rig.safe_end.unwrap());
+        let words = format!("{axis} is not ready, without an alarm: its motor is off");
+        assert!(trip.kind == TripKind::Device && trip.detail.starts_with(&words), "{trip:?}");
+        // z without its motor cannot be raised, and is not moved.
+        assert_eq!(end.tips == Tips::Raised, axis == "x", "{end:?}");
+        if axis == "x" {
+            harness.is_safe().await;
+        } else {
+            harness.run_is(StoredState::Panicked).await;
+        }
+        harness.stays_tripped(3).await;
+        assert_eq!(harness.taken_trials(), measured, "the press is not stored");
+        let after = harness.truth().await;
+        assert_eq!(after["axes"][place]["servo"], false, "{after:#}");
+        for i in [0, 1, 3, place] {
+            let [before, now] = [&held, &after].map(|truth| truth["axes"][i]["position"].as_f64());
+            assert!((before.unwrap() - now.unwrap()).abs() < 1e-6, "{after:#}");
+        }
+        harness.ask(Request::Reset).await.unwrap();
+        harness.run_is(StoredState::Paused).await;
+        harness.home().await;
+        harness.resume_to_the_end().await;
+        {
+            let taken = harness.journal.taken();
+            let distinct: BTreeSet<_> = taken.trials.iter().map(|t| t.key).collect();
+            assert_eq!((taken.trials.len(), distinct.len()), (18, 18));
+            assert_eq!(taken.ends[0].0.as_str(), "success", "{:?}", taken.ends);
+        }
+        harness.close().await;
+    }
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -24,7 +24,7 @@ use self::contact::{Indenter, Play, Pose};
 use self::frames::FrameLedger;
 use crate::config::{ARMS, AxisName, RigFile};
 use crate::device::{AxisMap, CellsMap, INPUTS};
-use crate::drive::{Alarm, Drive, Mechanism};
+use crate::drive::{Alarm, Drive, Mechanism, Servo};
 use crate::fault::{Board, Fault, Kind, Target, WireFault};
 use crate::modbus::{Exception, Request, answer};
 use crate::skin::AnyMechanics;
@@ -310,6 +310,7 @@ impl Bench {
                     axis.drive.power_cycle(t_s);
                     axis.map.power_cycle();
                 }
+                Some(Kind::MotorOff) => axis.drive.set_servo(t_s, Servo::Off),
                 _ => {}
             }
             if !stale {

@@ -128,13 +128,13 @@ impl Board {
         })
     }
 
-    /// Next alarm or power loss of an axis that is due and not yet applied.
+    /// Next alarm, power loss or motor off of an axis that is due and not yet applied.
     pub fn sudden(&mut self, axis: AxisName, t_s: f64) -> Option<Kind> {
         let target = Target::Axis(axis);
         let (fault, _, struck) = self.active(t_s).find(|(f, _, struck)| {
             f.target == target
                 && **struck == 0
-                && matches!(f.kind, Kind::Alarm { .. } | Kind::PowerLoss)
+                && matches!(f.kind, Kind::Alarm { .. } | Kind::PowerLoss | Kind::MotorOff)
         })?;
         *struck += 1;
         Some(fault.kind)

@@ -110,6 +110,8 @@ pub enum Kind {
     },
     /// The drive loses power for a moment.
     PowerLoss,
+    /// The drive switches its motor off, without an alarm.
+    MotorOff,
     /// Reads return the values from the begin of the fault.
     StaleRegisters,
     /// A cell fails.

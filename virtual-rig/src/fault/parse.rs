@@ -130,6 +130,7 @@ impl FaultEntry {
             "stuck_axis" => Kind::StuckAxis { alarm_after_s: self.alarm_after_s },
             "alarm" => Kind::Alarm { code: self.code.unwrap_or(0xFF) },
             "power_loss" => Kind::PowerLoss,
+            "motor_off" => Kind::MotorOff,
             // A hanging module repeats its last conversion.
             "stale_registers" | "hung_module" => Kind::StaleRegisters,
             "dead_cell" => self.cell(CellFault::Dead)?,
@@ -201,7 +202,7 @@ impl FaultEntry {
             Kind::StaleRegisters => {
                 (matches!(target, Target::Axis(_) | Target::Cells), "an axis or cells")
             }
-            Kind::StuckAxis { .. } | Kind::Alarm { .. } | Kind::PowerLoss => {
+            Kind::StuckAxis { .. } | Kind::Alarm { .. } | Kind::PowerLoss | Kind::MotorOff => {
                 (matches!(target, Target::Axis(_)), "an axis")
             }
             Kind::Cell { .. } => (target == Target::Cells, "cells"),
@@ -222,9 +223,9 @@ impl FaultEntry {
 }
 
 const KINDS: &str = "must be no_reply, exception, disconnect, late_reply, garbled_reply, \
-    stuck_axis, alarm, power_loss, stale_registers, hung_module, dead_cell, saturated_cell, \
-    frozen_cell, drifting_cell, pulling_cell, foreign_load, missing_tip, uncoupled_cell, \
-    drop_bytes, flip_bytes, double_bytes or stall_stream";
+    stuck_axis, alarm, power_loss, motor_off, stale_registers, hung_module, dead_cell, \
+    saturated_cell, frozen_cell, drifting_cell, pulling_cell, foreign_load, missing_tip, \
+    uncoupled_cell, drop_bytes, flip_bytes, double_bytes or stall_stream";
 
 #[cfg(test)]
 mod tests {
@@ -281,6 +282,7 @@ mod tests {
             ("kind = \"dead_cell\"\ndevice = \"cells\"\narm = 7", "arm = 7: must be 1 to 6"),
             ("kind = \"stall_stream\"\ndevice = \"z\"", "stall_stream affects only ert"),
             ("kind = \"hung_module\"\ndevice = \"z\"", "hung_module affects only cells"),
+            ("kind = \"motor_off\"\ndevice = \"cells\"", "motor_off affects only an axis"),
             ("kind = \"pulling_cell\"\ndevice = \"cells\"\narm = 1", "n = : is needed"),
             ("kind = \"exception\"\ndevice = \"z\"", "code = : is needed: 1 to 255"),
             ("kind = \"no_reply\"\ndevice = \"z\"\nat_s = 1.0\nat_press = 2", "give one of"),

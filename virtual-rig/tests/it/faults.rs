@@ -121,6 +121,19 @@ async fn stuck_stale_and_alarmed_axes() {
 }
 
 #[tokio::test]
+async fn a_motor_that_is_off_raises_no_alarm_and_stays_off_until_it_is_switched_on() {
+    let (_rig, mut control, mut iai) = bench(100.0).await;
+    iai.home(1..=1).await;
+    let off = json!({ "cmd": "fault", "kind": "motor_off", "device": "x", "count": 1 });
+    assert_eq!(control.say(off).await["ok"], true);
+    let bits: u16 = 1 << 12 | 1 << 10 | 1 << 4;
+    assert_eq!(iai.status(1).await.1 & bits, 1 << 4, "homed, no alarm, motor off");
+    assert_eq!(control.status().await["axes"][0]["servo"], false);
+    iai.unit(1).write_single_coil(0x0403, true).await.unwrap().unwrap();
+    assert_eq!(iai.status(1).await.1 & bits, 1 << 12 | 1 << 4);
+}
+
+#[tokio::test]
 async fn a_cut_line_refuses_until_it_is_whole() {
     let script = "[[fault]]\nkind = \"disconnect\"\ndevice = \"stage\"\nfor_s = 0.4";
     let rig = switch_on(IAI_TCP, 1.0, script).await;
