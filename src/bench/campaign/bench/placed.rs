@@ -1,4 +1,4 @@
-//! Where the axes are: read, and compared with their targets before z presses and while it holds a load.
+//! Where the axes are: read, and compared with their targets before z presses, after a touch, and under a load.
 //! Uses: `campaign::{bench::stage, bench::stopping, bench::interlock, bench::sound, run::control}`. Never: the plan,
 //! storage, a motion.
 //!
@@ -39,6 +39,18 @@ impl Stage {
         control.attending(placed).await?.map(drop)
     }
 
+    /// As [`Self::require_over`], while a tip touches: checks the cells meanwhile.
+    ///
+    /// # Errors
+    /// As `require_over` and `watch_while`.
+    pub async fn require_still_over(
+        &mut self,
+        control: &mut Control,
+        over: &Pose,
+    ) -> Result<(), Halt> {
+        self.reached_while(control, over, None).await.map(drop)
+    }
+
     /// Reads the positions of all axes while a load is held, compares them with their targets, and checks the cells
     /// meanwhile.
     ///
@@ -50,8 +62,17 @@ impl Stage {
         control: &mut Control,
         target: &Pose,
     ) -> Result<Pose, Halt> {
+        self.reached_while(control, target, Some(target.z_mm)).await
+    }
+
+    async fn reached_while(
+        &mut self,
+        control: &mut Control,
+        target: &Pose,
+        z_mm: Option<f64>,
+    ) -> Result<Pose, Halt> {
         let (bench, config, clock) = (self.bench.clone(), self.config.clone(), self.clock.clone());
-        let reads = reached(&bench, &config, &clock, target, Some(target.z_mm));
+        let reads = reached(&bench, &config, &clock, target, z_mm);
         self.watch_while(control, reads).await?
     }
 }

@@ -42,8 +42,8 @@ const APPROACHES: u32 = 3;
 /// Touches every place and stores the result as the surface of the stage.
 ///
 /// # Errors
-/// Trips if no surface is found in the window of the rig file, or if an attached arm touched
-/// nowhere; `Halt::Checkpoint` with raised tips if a pause or a stop was requested.
+/// Trips if no surface is found in the window of the rig file, if an axis has left a place, or if an attached arm
+/// touched nowhere; `Halt::Checkpoint` with raised tips if a pause or a stop was requested.
 pub async fn touch_off(
     stage: &mut Stage,
     control: &mut Control,
@@ -61,7 +61,10 @@ pub async fn touch_off(
         stage.require_over(control, &over).await?;
         // The tips are up: what was requested meanwhile waits for no further place.
         control.checkpoint()?;
-        for (arm, z_mm) in touch(stage, control, first_height(&touches)).await? {
+        let found = touch(stage, control, first_height(&touches)).await?;
+        // No height is kept of another place.
+        stage.require_still_over(control, &over).await?;
+        for (arm, z_mm) in found {
             let [x_mm, y_mm] = place.tips_mm[usize::from(arm) - 1];
             touches.push(ArmTouch { x_mm, y_mm, arm, z_mm });
         }

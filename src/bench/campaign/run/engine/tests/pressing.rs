@@ -336,3 +336,24 @@ async fn no_place_is_touched_that_an_axis_has_left_during_the_tare() {
     assert!(detail.starts_with("x measured at "), "{detail}");
     assert_eq!(axes.z.starts.load(Ordering::SeqCst), 1, "it was raised only");
 }
+
+#[tokio::test]
+async fn no_height_is_kept_of_a_place_that_an_axis_has_left_during_the_touch() {
+    let (job, (axes, mut engine)) = (job(), engine());
+    let (stage, control) = patient(&mut engine);
+    stage.config.limits.frame_age_ms = 60_000;
+    stage.tips = 1;
+    let [_, bottom_mm] = stage.config.skin.surface_z_mm;
+    *axes.cells.surface.lock() = Some((axes.z.clone(), bottom_mm - 1.0));
+    let (first, at) = (&places(&job)[..1], jiff::Timestamp::UNIX_EPOCH);
+    let touches = touch_off::touch_off(stage, control, first, 1, at);
+    let leave = async {
+        // At the first touch of the place.
+        stopped(&axes, 1).await;
+        axes.x.status.lock().position += 1.0;
+    };
+    let both = async { futures::join!(leave, touches) };
+    let ((), touched) = tokio::time::timeout(HAPPENS_WITHIN, both).await.expect("it trips");
+    let detail = tripped(touched, TripKind::Position);
+    assert!(detail.starts_with("x measured at "), "{detail}");
+}
