@@ -284,7 +284,14 @@ async fn request_action(
             Request::Repeat { trial: asked.trial, why: asked.why.unwrap_or_default() }
         }
     };
-    app.campaign.ask(request).await?;
+    match asked.action {
+        ActionOnRun::Pause | ActionOnRun::Stop | ActionOnRun::Abort => {
+            app.conductor.halt(request).await?;
+        }
+        ActionOnRun::Start | ActionOnRun::Resume | ActionOnRun::Confirm | ActionOnRun::Repeat => {
+            app.campaign.ask(request).await?;
+        }
+    }
     Ok(None)
 }
 
@@ -318,7 +325,7 @@ async fn on_undriven(app: &App, run: &RunRow, action: ActionOnRun) -> ApiResult<
         return Ok(());
     }
     if is_late {
-        app.campaign.ask(Request::CameLate).await?;
+        app.conductor.halt(Request::CameLate).await?;
     }
     let (action, scan_id, state) = (action.as_str(), run.scan_id, run.state);
     let mut words = format!("action {action}: run {scan_id} is {state}, not active");

@@ -39,7 +39,7 @@ impl Conductor {
             let error = match read.map(|read| self.still_left(read, active)) {
                 Ok((taken, since)) => {
                     let stays = taken.driven.as_ref().map(|run| run.uid).or(active);
-                    match self.inner.store.interrupt_open_runs(stays).await {
+                    match self.mark(&taken, stays).await {
                         Ok(()) => return Ok((taken, since)),
                         Err(error) => {
                             // They may be marked nevertheless: what they were before decides.
@@ -59,6 +59,14 @@ impl Conductor {
             tokio::time::sleep(pause).await;
             (attempt, pause) = (attempt + 1, 2 * pause);
         }
+    }
+
+    /// Stores what follows for the next process. First which runs wait no more: the open runs may be the reason.
+    async fn mark(&self, taken: &TakenOver, stays: Option<RunUid>) -> StoreResult<()> {
+        for (run, _) in &taken.dropped {
+            self.inner.store.clear_waiting(run.uid).await?;
+        }
+        self.inner.store.interrupt_open_runs(stays).await
     }
 
     /// What was left, without what a person has started in this process: that waits as it is, and no earlier run is
@@ -89,7 +97,7 @@ impl Conductor {
 
 #[cfg(test)]
 mod tests {
-    use super::super::stand_in::conductor;
+    use super::super::stand_in::{conductor, earlier};
     use super::*;
 
     #[tokio::test]
@@ -99,5 +107,14 @@ mod tests {
         let left = conductor.left_by_earlier(AutoResume::Allowed);
         let left = tokio::time::timeout(RESTART_PAUSE / 2, left).await;
         assert!(left.is_err(), "{left:?}");
+    }
+    #[tokio::test]
+    async fn a_process_that_ends_as_it_takes_over_leaves_no_run_that_begins_by_itself() {
+        let (conductor, _inbox, _folder) = conductor().await;
+        earlier(&conductor).await;
+        conductor.left_by_earlier(AutoResume::Off).await.unwrap();
+        let store = &conductor.inner.store;
+        assert!(store.open_runs().await.unwrap().is_empty());
+        assert!(store.waiting_runs().await.unwrap().is_empty());
     }
 }

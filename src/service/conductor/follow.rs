@@ -190,12 +190,12 @@ impl Conductor {
     }
 
     /// Removes all runs from those that wait, because a person may be at the rig: in memory, so that none of them
-    /// begins, whatever the store does. Returns whether one waited.
+    /// begins, whatever the store does. Returns whether one waited, or one that the earlier process left may wait.
     pub(super) fn drop_all_waiting(&self, why: &str) -> bool {
         let dropped = std::mem::take(&mut *self.waiting());
         let why = format!("{why}: start it again");
         self.dropped().extend(dropped.iter().map(|run| (*run, why.clone())));
-        !dropped.is_empty()
+        self.note_sign(why) || !dropped.is_empty()
     }
 
     /// Stores which of the runs that wait were dropped, for the process after a crash.
@@ -203,7 +203,7 @@ impl Conductor {
         // One that a person starts again meanwhile waits.
         let _one_at_a_time = self.inner.beginning.lock().await;
         for run in self.inner.store.waiting_runs().await? {
-            if let Some(why) = self.why_dropped(run.uid) {
+            if let Some(why) = self.why_not_next(run.uid) {
                 self.drop_waiting(&run, &why).await?;
             }
         }

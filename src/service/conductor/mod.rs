@@ -76,8 +76,7 @@ struct Inner {
     rig: RigFile,
     calibration: Option<Calibration>,
     armings: Mutex<BTreeMap<RunUid, Arming>>,
-    /// Runs that begin when the rig is free. The store marks them as well, for the process after a
-    /// crash; in this process only the runs in this set begin.
+    /// Runs that begin when the rig is free; no other one begins in this process. The store marks them for the next.
     waiting: Mutex<BTreeSet<RunUid>>,
     /// Runs that were started, waited and do not begin by themselves any more, with the reason.
     dropped: Mutex<BTreeMap<RunUid, String>>,
@@ -97,6 +96,8 @@ struct Inner {
     suspensions: Mutex<Suspensions>,
     /// Signs of a person that were followed: what waited then is dropped.
     signs: AtomicU64,
+    /// What the next process must know of a person.
+    noted: stopped::Noted,
 }
 
 /// The start of a run that waits.
@@ -179,12 +180,12 @@ impl Conductor {
             handed_over: Mutex::default(),
             suspensions: Mutex::new(Suspensions::watch()),
             signs: AtomicU64::default(),
+            noted: stopped::Noted::default(),
         };
         Self { inner: Arc::new(inner) }
     }
 
-    /// A person operates the rig: no run that was started before is driven again by itself after the start of the
-    /// service.
+    /// A person operates the rig: no run that was started before is driven again by itself after a restart.
     pub fn note_operation(&self) {
         self.inner.operations.fetch_add(1, Ordering::SeqCst);
     }
@@ -280,7 +281,7 @@ impl Conductor {
     pub async fn abort_undriven(&self, run: &RunRow) -> ConductorResult<bool> {
         let _one_at_a_time = self.inner.beginning.lock().await;
         if self.active() == Some(run.uid) {
-            self.inner.campaign.ask(Request::Abort).await?;
+            self.halt(Request::Abort).await?;
             return Ok(true);
         }
         // Read after it: it may just have ended.
@@ -301,7 +302,7 @@ impl Conductor {
         let is_driven = now.is_driven() || now.paused_why == Some(PausedWhy::Restart);
         if is_driven && self.inner.begun.lock().contains(&run.uid) {
             // Its end waits for the store, and may be a success.
-            let _ = self.inner.campaign.ask(Request::CameLate).await;
+            let _ = self.halt(Request::CameLate).await;
             let scan_id = now.scan_id;
             return Err(ConductorError::Forbidden(format!(
                 "run {scan_id} has ended, and how is not stored yet: read it again"
@@ -320,7 +321,7 @@ impl Conductor {
         self.say(run, "ended", data).await;
         if now.is_driven() {
             // Also before the runs of the earlier process are taken over. If the campaign is busy, it is noted later.
-            let _ = self.inner.campaign.ask(Request::CameLate).await;
+            let _ = self.halt(Request::CameLate).await;
         }
         Ok(true)
     }
@@ -426,8 +427,7 @@ impl Conductor {
         }
     }
 
-    /// Plans a stored run again, and compares the plan with the one that was kept. The plan of a run
-    /// that an older version queued is kept now.
+    /// Plans a stored run again, and compares the plan with the kept one. That of a run of an older version is kept now.
     async fn prepare_stored(&self, run: &RunRow) -> ConductorResult<Prepared> {
         let prepared = self.prepare(Submission::of(run)).await?.sound()?;
         same_label(run.scan_id, run.label, prepared.label)?;

@@ -6,12 +6,14 @@ use crate::state::{PausedWhy, StoredState};
 use crate::store::{RunKind, RunRow};
 
 /// This start of the service does not allow automatic resumes.
-const NOT_ASKED: &str = "the service was started without automatic resume";
+const NOT_ASKED: &str =
+    "the service was started without automatic resume, or at a desk: start it again at its rig";
 /// The arming of the run does not allow automatic resumes.
-const NOT_ALLOWED: &str = "its arming does not allow an automatic start after a restart";
+const NOT_ALLOWED: &str =
+    "its arming does not allow an automatic start after a restart of the service: start it again";
 /// Tips may be partly mounted, or hands in the way.
-const SOMEBODY_THERE: &str =
-    "the run before it was manual, waiting, tripped or ending: a person may be at the rig";
+const SOMEBODY_THERE: &str = "the run before it was manual, waiting, tripped or ending, and a person may be at \
+                              the rig: start it again";
 
 /// Whether a start of the service may resume runs automatically, if their arming allows it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -3,17 +3,64 @@
 //! Uses: `campaign` (its handle), `store`. Never: motion, HTTP, a delay of the stop.
 
 use std::sync::atomic::Ordering;
+use std::time::Duration;
+
+use parking_lot::Mutex;
+use tokio::time::Instant;
 
 use super::{Conductor, ConductorError, ConductorResult};
 use crate::campaign::bench::rig_state::RigState;
-use crate::campaign::shown::command::Request;
+use crate::campaign::shown::command::{Refusal, Request};
+use crate::ids::RunUid;
 use crate::journal::error_chain;
 use crate::store::StoreResult;
 
 /// Why a run that waited does not begin after a press of the e-stop that tripped nothing.
 const PRESSED: &str = "the e-stop was pressed while no wires were open";
+/// Why a run that waited does not begin after a halt that was requested as the service ended.
+const UNANSWERED: &str =
+    "a pause, a stop or an abort was requested as the service ended: start it again";
+/// Time before the end of the service within which a halt that had no answer was requested as it ended, wall.
+const UNANSWERED_WITHIN: Duration = Duration::from_secs(600);
+
+/// What the next process must know of a person, apart from what is stored at once.
+#[derive(Default)]
+pub(super) struct Noted {
+    /// Why no run that the earlier process left begins: the last sign of a person, or trip, that was followed.
+    sign: Mutex<Option<String>>,
+    /// When a halt was requested last that the campaign did not answer.
+    unanswered: Mutex<Option<Instant>>,
+}
 
 impl Conductor {
+    /// Requests a pause, a stop or an abort of the campaign. If it does not answer, since the service ends, the next
+    /// process drives no run by itself.
+    ///
+    /// # Errors
+    /// The refusal of the campaign.
+    pub async fn halt(&self, request: Request) -> Result<(), Refusal> {
+        let asked = self.inner.campaign.ask(request).await;
+        if asked == Err(Refusal::Gone) {
+            *self.inner.noted.unanswered.lock() = Some(Instant::now());
+        }
+        asked
+    }
+
+    /// Notes why no run begins that waits and that the earlier process left, also one that is not taken over yet. Returns
+    /// whether this is not the last such reason.
+    pub(super) fn note_sign(&self, why: String) -> bool {
+        let before = self.inner.noted.sign.lock().replace(why.clone());
+        before != Some(why)
+    }
+
+    /// Why a run that is stored as one that waits begins neither in this process nor in the next one by itself, as text.
+    pub(super) fn why_not_next(&self, run: RunUid) -> Option<String> {
+        let is_of_this_process = self.inner.handed_over.lock().contains_key(&run)
+            || self.inner.begun.lock().contains(&run);
+        let left = || self.inner.noted.sign.lock().clone().filter(|_| !is_of_this_process);
+        self.why_dropped(run).or_else(left)
+    }
+
     /// Called after each press of the e-stop, once it is latched: a person is at the rig. No run of an earlier process
     /// is driven again by itself. This is stored at once: while no wires are open nothing trips, and this process may
     /// end before its next attempt to drive the run.
@@ -52,7 +99,7 @@ impl Conductor {
         }
         // In memory first: an attempt in progress does not begin a run, whatever the store does.
         self.note_operation();
-        let aborted = self.inner.campaign.ask(Request::AbortMotion).await;
+        let aborted = self.halt(Request::AbortMotion).await;
         *self.inner.brought_up.lock() = None;
         self.interrupt_undriven().await?;
         aborted.map_err(ConductorError::Refused)
@@ -85,24 +132,28 @@ impl Conductor {
     }
 
     /// Called at the end of the service, after that of the campaign: what the next process would not know. While an
-    /// e-stop is latched it must drive no run by itself. No waiting run begins after a sign of a person that was not
-    /// followed any more, such as an abort, and none that was dropped in memory only.
+    /// e-stop is latched, or after a halt that was requested as the service ended, it must drive no run by itself. No
+    /// waiting run begins after a sign of a person that was not followed any more, such as an abort, and none that was
+    /// dropped in memory only.
     pub async fn keep_stopped(&self) {
         let attended = self.inner.campaign.status().attended;
         let is_stopped = self.inner.campaign.stop_switch().pressed().is_some();
         let is_followed = self.inner.signs.load(Ordering::SeqCst) == attended.signs;
+        let unanswered = *self.inner.noted.unanswered.lock();
+        let is_unanswered = unanswered.is_some_and(|at| at.elapsed() <= UNANSWERED_WITHIN);
         let of_all = match is_stopped {
             true => {
                 Some("the e-stop was latched when the service ended: start it again".to_owned())
             }
+            false if is_unanswered => Some(UNANSWERED.to_owned()),
             false => (!is_followed).then(|| format!("{}: start it again", attended.why)),
         };
         let kept = async {
-            if is_stopped {
+            if is_stopped || is_unanswered {
                 self.inner.store.interrupt_open_runs(None).await?;
             }
             for run in self.inner.store.waiting_runs().await? {
-                if let Some(why) = of_all.clone().or_else(|| self.why_dropped(run.uid)) {
+                if let Some(why) = of_all.clone().or_else(|| self.why_not_next(run.uid)) {
                     self.drop_waiting(&run, &why).await?;
                 }
             }
@@ -117,7 +168,7 @@ impl Conductor {
 #[cfg(test)]
 mod tests {
     use super::super::stand_in::{
-        conductor, driven, granted, in_an_hour, queued_on, start, unasked,
+        conductor, driven, earlier, granted, in_an_hour, queued_on, start, unasked,
     };
     use super::super::{AutoResume, Terms};
     use super::*;
@@ -144,6 +195,22 @@ mod tests {
         assert_eq!(conductor.why_dropped(next.uid), Some(format!("{PRESSED}: start it again")));
         let taken = conductor.resume_after_restart(AutoResume::Allowed);
         unasked(&mut inbox, taken).await.unwrap();
+    }
+
+    #[tokio::test]
+    async fn a_pause_that_comes_as_the_service_ends_holds_in_the_next_process() {
+        let (conductor, inbox, _folder) = conductor().await;
+        let [run, _next] = earlier(&conductor).await;
+        let left = async || {
+            conductor.keep_stopped().await;
+            let waiting = conductor.inner.store.waiting_runs().await.unwrap().len();
+            (conductor.present(&run).await.unwrap().state, waiting)
+        };
+        assert_eq!(left().await, (StoredState::Running, 1), "without a request");
+        // The campaign's thread has ended.
+        drop(inbox);
+        assert_eq!(conductor.halt(Request::PauseNow).await, Err(Refusal::Gone));
+        assert_eq!(left().await, (StoredState::Interrupted, 0));
     }
 
     #[tokio::test]

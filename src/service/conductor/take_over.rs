@@ -22,6 +22,10 @@ use crate::store::{RunRow, StoreError};
 /// Pause before the runs that wait are read again.
 const READ_AGAIN: Duration = Duration::from_secs(10);
 
+/// Why a run that waited does not begin after one that is not driven again.
+const NOT_DRIVEN: &str =
+    "the run before it is not driven again, and a person may be at the rig: start it again";
+
 /// What must not have changed since a run was taken over: then a person may be at the rig.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Unattended {
@@ -50,10 +54,10 @@ impl Conductor {
         // In memory all of them, whatever the store does.
         self.dropped().extend(dropped.iter().map(|(run, why)| (run.uid, (*why).to_owned())));
         for (run, why) in &dropped {
-            // The next process would drop them, too: one that is driven need not wait for the store.
+            // The next process does not let them wait: one that is driven need not wait for the store again.
             if let Err(error) = self.drop_waiting(run, why).await {
                 let error = error_chain(&error);
-                tracing::warn!(error, "a waiting run is dropped in memory only");
+                tracing::warn!(error, "the drop of a waiting run is not noted");
             }
         }
         let was_driven = driven.is_some();
@@ -79,10 +83,8 @@ impl Conductor {
             .retain(|run| !(begun && run.uid == first.uid) && self.why_dropped(run.uid).is_none());
         let tripped = self.inner.campaign.status().rig.state == RigState::Tripped;
         let why_not = match &outcome {
-            _ if tripped => Some("the rig tripped during the start"),
-            Err(ConductorError::Forbidden(_)) if was_driven => {
-                Some("the run before it is not driven again, and a person may be at the rig")
-            }
+            _ if tripped => Some("the rig tripped during the start: start it again"),
+            Err(ConductorError::Forbidden(_)) if was_driven => Some(NOT_DRIVEN),
             Ok(_) | Err(_) => None,
         };
         if why_not.is_none() {
@@ -90,8 +92,8 @@ impl Conductor {
         }
         // Read after it: a sign of a person that came before was followed without them.
         let attended = self.inner.campaign.status().attended;
-        let sign = (attended.signs != signs).then_some(attended.why.as_str());
-        if let Some(why) = why_not.or(sign) {
+        let sign = (attended.signs != signs).then(|| format!("{}: start it again", attended.why));
+        if let Some(why) = why_not.or(sign.as_deref()) {
             self.drop_each(&waiting, why).await?;
         }
         outcome.map(|_| ())
@@ -220,13 +222,13 @@ impl Conductor {
         self.end_bringing_up(run);
         let _one_at_a_time = self.inner.beginning.lock().await;
         if self.active() == Some(run) {
-            self.inner.campaign.ask(request).await?;
+            self.halt(request).await?;
             return Ok(true);
         }
         // At once: this process may end before it has given the run up.
         let stored = self.inner.store.interrupt_open_runs(self.active()).await;
         // For the runs that wait behind it. If the campaign is busy, it is noted later.
-        let _ = self.inner.campaign.ask(Request::CameLate).await;
+        let _ = self.halt(Request::CameLate).await;
         stored?;
         Ok(false)
     }
@@ -310,6 +312,24 @@ mod tests {
     }
 
     #[tokio::test]
+    async fn after_an_abort_of_a_run_not_driven_yet_the_next_process_begins_none_behind_it() {
+        let (conductor, mut inbox, _folder) = conductor().await;
+        let [driven, next] = earlier(&conductor).await;
+        let following = tokio::spawn(conductor.clone().follow());
+        // The rig is not reached yet, and this process ends before it is.
+        abort(&conductor, &driven, &mut inbox).await;
+        let dropped = async {
+            while !conductor.inner.store.waiting_runs().await.unwrap().is_empty() {
+                tokio::time::sleep(Duration::from_millis(5)).await;
+            }
+        };
+        tokio::time::timeout(Duration::from_secs(20), dropped).await.expect("it is dropped");
+        assert_eq!(conductor.why_dropped(next.uid), Some(format!("{RUN_ABORTED}: start it again")));
+        following.abort();
+        let _ = following.await;
+    }
+
+    #[tokio::test]
     async fn a_service_that_drives_no_rig_leaves_the_runs_to_the_next_one() {
         let (conductor, mut inbox, _folder) = conductor().await;
         let [driven, next] = earlier(&conductor).await;
@@ -338,10 +358,9 @@ mod tests {
             asked = aborts => panic!("{asked:?}"),
         };
         assert!(matches!(taken, Err(ConductorError::Forbidden(_))), "{taken:?}");
-        let why = "the run before it is not driven again, and a person may be at the rig";
-        assert_eq!(conductor.why_dropped(next.uid).as_deref(), Some(why));
+        assert_eq!(conductor.why_dropped(next.uid).as_deref(), Some(NOT_DRIVEN));
         let words = conductor.not_begun().await.unwrap();
-        assert!(words.is_some_and(|words| words.ends_with(why)));
+        assert!(words.is_some_and(|words| words.ends_with(NOT_DRIVEN)));
         assert!(conductor.still_waiting().await.unwrap().is_empty());
     }
 
