@@ -61,10 +61,12 @@ impl Conductor {
         }
     }
 
-    /// Stores what follows for the next process. First which runs wait no more: the open runs may be the reason.
+    /// Stores what follows for the next process. First which runs wait no more: the open runs may be the reason, and are
+    /// not open any more if this process ends here.
     async fn mark(&self, taken: &TakenOver, stays: Option<RunUid>) -> StoreResult<()> {
         for (run, _) in &taken.dropped {
-            self.inner.store.clear_waiting(run.uid).await?;
+            // It is repeated, and logged if it fails again.
+            let _ = self.inner.store.clear_waiting(run.uid).await;
         }
         self.inner.store.interrupt_open_runs(stays).await
     }

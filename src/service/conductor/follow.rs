@@ -199,7 +199,7 @@ impl Conductor {
     }
 
     /// Stores which of the runs that wait were dropped, for the process after a crash.
-    async fn store_dropped(&self) -> ConductorResult<()> {
+    pub(super) async fn store_dropped(&self) -> ConductorResult<()> {
         // One that a person starts again meanwhile waits.
         let _one_at_a_time = self.inner.beginning.lock().await;
         for run in self.inner.store.waiting_runs().await? {

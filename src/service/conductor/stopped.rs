@@ -1,6 +1,6 @@
 //! A stop by a person outside a run, and what it leaves to the next process, which does not know of it: that drives no run
 //! by itself.
-//! Uses: `campaign` (its handle), `store`. Never: motion, HTTP, a delay of the stop.
+//! Uses: `conductor::take_over`, `campaign` (its handle), `store`. Never: motion, HTTP, a delay of the stop.
 
 use std::sync::atomic::Ordering;
 use std::time::Duration;
@@ -8,6 +8,7 @@ use std::time::Duration;
 use parking_lot::Mutex;
 use tokio::time::Instant;
 
+use super::take_over::NOT_DRIVEN;
 use super::{Conductor, ConductorError, ConductorResult};
 use crate::campaign::bench::rig_state::RigState;
 use crate::campaign::shown::command::{Refusal, Request};
@@ -106,10 +107,22 @@ impl Conductor {
     }
 
     /// Called after each action on the rig, also a refused one: stores what [`Conductor::note_operation`] has noted, since
-    /// this process may end before its next attempt to drive a run. If the store fails, only this process drives nothing.
+    /// this process may end before its next attempt to drive a run. Nor does a run begin by itself that waits behind one of
+    /// the earlier process. If the store fails, only this process drives nothing.
     pub async fn keep_operation(&self) {
-        if let Err(error) = self.interrupt_undriven().await {
-            tracing::error!(error = error_chain(&error), "a run may resume automatically");
+        let (active, begun) = (self.active(), self.inner.begun.lock().clone());
+        let open = self.inner.store.open_runs().await.unwrap_or_default();
+        let is_left = |run: &RunUid| Some(*run) != active && !begun.contains(run);
+        let dropped = match open.iter().any(|run| is_left(&run.uid)) {
+            true => {
+                self.note_sign(NOT_DRIVEN.into());
+                self.store_dropped().await
+            }
+            false => Ok(()),
+        };
+        let stored = self.interrupt_undriven().await.map_err(ConductorError::from);
+        if let Err(error) = dropped.and(stored) {
+            tracing::error!(error = error_chain(&error), "a run may begin or resume automatically");
         }
     }
 
@@ -248,6 +261,21 @@ mod tests {
         conductor.inner.store.close().await;
         // It is only logged.
         conductor.keep_operation().await;
+    }
+
+    #[tokio::test]
+    async fn after_an_action_on_the_rig_the_next_process_begins_no_run_behind_an_earlier_one() {
+        let (conductor, _inbox, _folder) = conductor().await;
+        let [run, next] = earlier(&conductor).await;
+        let terms = Terms { auto_resume: Some(true), not_before: in_an_hour() };
+        let started = queued_on(&conductor, terms).await;
+        start(&conductor, &started).await;
+        conductor.keep_operation().await;
+        assert_eq!(conductor.present(&run).await.unwrap().state, StoredState::Interrupted);
+        assert_eq!(conductor.why_dropped(next.uid).as_deref(), Some(NOT_DRIVEN));
+        let waiting = conductor.inner.store.waiting_runs().await.unwrap();
+        let waiting: Vec<RunUid> = waiting.iter().map(|run| run.uid).collect();
+        assert_eq!(waiting, [started.uid], "a person has started it in this process");
     }
 
     #[tokio::test]

@@ -23,7 +23,7 @@ use crate::store::{RunRow, StoreError};
 const READ_AGAIN: Duration = Duration::from_secs(10);
 
 /// Why a run that waited does not begin after one that is not driven again.
-const NOT_DRIVEN: &str =
+pub(super) const NOT_DRIVEN: &str =
     "the run before it is not driven again, and a person may be at the rig: start it again";
 
 /// What must not have changed since a run was taken over: then a person may be at the rig.
@@ -54,10 +54,10 @@ impl Conductor {
         // In memory all of them, whatever the store does.
         self.dropped().extend(dropped.iter().map(|(run, why)| (run.uid, (*why).to_owned())));
         for (run, why) in &dropped {
-            // The next process does not let them wait: one that is driven need not wait for the store again.
+            // One that is driven need not wait for the store.
             if let Err(error) = self.drop_waiting(run, why).await {
                 let error = error_chain(&error);
-                tracing::warn!(error, "the drop of a waiting run is not noted");
+                tracing::warn!(error, "a waiting run is dropped in memory only");
             }
         }
         let was_driven = driven.is_some();
