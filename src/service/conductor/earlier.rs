@@ -110,6 +110,7 @@ mod tests {
         let left = tokio::time::timeout(RESTART_PAUSE / 2, left).await;
         assert!(left.is_err(), "{left:?}");
     }
+
     #[tokio::test]
     async fn a_process_that_ends_as_it_takes_over_leaves_no_run_that_begins_by_itself() {
         let (conductor, _inbox, _folder) = conductor().await;
