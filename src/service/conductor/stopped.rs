@@ -14,7 +14,6 @@ use crate::campaign::bench::rig_state::RigState;
 use crate::campaign::shown::command::{Refusal, Request};
 use crate::ids::RunUid;
 use crate::journal::error_chain;
-use crate::store::StoreResult;
 
 /// Why a run that waited does not begin after a press of the e-stop that tripped nothing.
 const PRESSED: &str = "the e-stop was pressed while no wires were open";
@@ -102,7 +101,7 @@ impl Conductor {
         self.note_operation();
         let aborted = self.halt(Request::AbortMotion).await;
         *self.inner.brought_up.lock() = None;
-        self.interrupt_undriven().await?;
+        self.store_operation().await?;
         aborted.map_err(ConductorError::Refused)
     }
 
@@ -110,6 +109,14 @@ impl Conductor {
     /// this process may end before its next attempt to drive a run. Nor does a run begin by itself that waits behind one of
     /// the earlier process. If the store fails, only this process drives nothing.
     pub async fn keep_operation(&self) {
+        if let Err(error) = self.store_operation().await {
+            tracing::error!(error = error_chain(&error), "a run may begin or resume automatically");
+        }
+    }
+
+    /// Stores that no run of the earlier process is driven again, and none begins that waits behind it: this process would
+    /// drop those, too, but only once it has given the run up.
+    async fn store_operation(&self) -> ConductorResult<()> {
         let (active, begun) = (self.active(), self.inner.begun.lock().clone());
         let open = self.inner.store.open_runs().await.unwrap_or_default();
         let is_left = |run: &RunUid| Some(*run) != active && !begun.contains(run);
@@ -120,16 +127,9 @@ impl Conductor {
             }
             false => Ok(()),
         };
-        let stored = self.interrupt_undriven().await.map_err(ConductorError::from);
-        if let Err(error) = dropped.and(stored) {
-            tracing::error!(error = error_chain(&error), "a run may begin or resume automatically");
-        }
-    }
-
-    /// Marks as interrupted what this process does not drive.
-    async fn interrupt_undriven(&self) -> StoreResult<()> {
         let _one_at_a_time = self.inner.beginning.lock().await;
-        self.inner.store.interrupt_open_runs(self.active()).await
+        self.inner.store.interrupt_open_runs(self.active()).await?;
+        dropped
     }
 
     /// Refuses to let a run wait while the e-stop is latched, also with closed wires, where nothing is tripped: it
@@ -234,9 +234,12 @@ mod tests {
         driven(&conductor, &run).await;
         // The rig homes for it.
         *conductor.inner.brought_up.lock() = Some(run.uid);
+        let next = queued_on(&conductor, terms).await;
+        conductor.inner.store.set_waiting(next.uid).await.unwrap();
         let ended = granted(&mut inbox, |request| matches!(request, Request::AbortMotion));
         let (aborted, ()) = tokio::join!(conductor.abort_motion(), ended);
         aborted.unwrap();
+        assert!(conductor.inner.store.waiting_runs().await.unwrap().is_empty());
         assert!(conductor.is_operated_since_start(run.uid));
         assert_eq!(*conductor.inner.brought_up.lock(), None);
         let stored = conductor.present(&run).await.unwrap();
