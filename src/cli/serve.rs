@@ -18,7 +18,7 @@ use super::key::key;
 use super::output::{note, say};
 use super::progress::shown_wait;
 use super::running::Running;
-use super::signals::Signals;
+use super::signals::{Asked, Signals};
 use super::virtual_bench::VirtualBench;
 use crate::api::{ServeOptions, Service, Tls};
 use crate::conductor::AutoResume;
@@ -144,16 +144,29 @@ async fn serve_rig(
         if args.open {
             browser::open(&service.local_url());
         }
-        service
-            .run_until(async {
-                let _ = signals.next().await;
-            })
-            .await;
-    } else {
-        service.shutdown().await;
+        let asked = signals.next().await;
+        if let Some(run) = service.active_run() {
+            let words = ending_words(run.scan_id, run.is_manual, asked);
+            // A terminal that takes no text must not delay the end.
+            std::thread::spawn(move || note(words));
+        }
     }
+    service.shutdown().await;
     Running::remove(&data);
     operator
+}
+
+/// What the end of the service does to the active run, and how the run resumes. A manual run moves nothing.
+fn ending_words(scan_id: i64, is_manual: bool, asked: Asked) -> String {
+    let raises = if is_manual { "" } else { "raises the tips and " };
+    let again = match asked {
+        Asked::Interrupt => "; Ctrl-C again changes nothing",
+        Asked::Terminate | Asked::HangUp => "",
+    };
+    format!(
+        "the service {raises}leaves run {scan_id} to be resumed: the next `palpate serve` resumes it if its arming \
+         allows it, otherwise `palpate resume {scan_id}` does then{again}"
+    )
 }
 
 /// Starts the virtual operator, if it can reach the service.
@@ -199,5 +212,15 @@ mod tests {
         assert_eq!(without_operator(false, false), None);
         assert_eq!(without_operator(true, false), Some("it has no TLS"));
         assert!(without_operator(false, true).unwrap().contains("PALPATE_KEY"));
+    }
+
+    #[test]
+    fn a_service_that_ends_states_what_becomes_of_its_run() {
+        let words = ending_words(3, false, Asked::Interrupt);
+        let wanted = "the service raises the tips and leaves run 3 to be resumed: the next `palpate serve` resumes it \
+                      if its arming allows it, otherwise `palpate resume 3` does then; Ctrl-C again changes nothing";
+        assert_eq!(words, wanted);
+        let words = ending_words(3, true, Asked::Terminate);
+        assert!(!words.contains("tips") && !words.contains("Ctrl-C"), "{words}");
     }
 }
