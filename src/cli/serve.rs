@@ -1,15 +1,18 @@
 //! `palpate serve`: the service until a signal ends it; without a rig file with a virtual bench.
-//! Uses: `api`, `virtual_bench`, `browser`. Never: anything that a client could do.
+//! Uses: `api`, `virtual_bench`, `browser`, and `client` for the name of a service that has its port. Never: anything else
+//! that a client could do.
 
-use std::io::IsTerminal;
-use std::net::SocketAddr;
+use std::io::{ErrorKind, IsTerminal};
+use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 
 use clap::Args;
 use sd_notify::NotifyState;
 
 use super::bench_args::BenchArgs;
 use super::browser;
+use super::client::{Client, Found};
 use super::data_or_default;
 use super::embed::TWIN_WORKERS;
 use super::error::{CliError, CliResult};
@@ -20,8 +23,11 @@ use super::progress::shown_wait;
 use super::running::Running;
 use super::signals::{Asked, Signals};
 use super::virtual_bench::VirtualBench;
-use crate::api::{ServeOptions, Service, Tls};
+use crate::api::{ServeError, ServeOptions, Service, Tls};
 use crate::conductor::AutoResume;
+
+/// Longest wait for the status of a service that has the port of another one.
+const HOLDER_WAIT: Duration = Duration::from_secs(2);
 
 /// Options of `serve`.
 #[derive(Debug, Clone, Args)]
@@ -126,9 +132,15 @@ async fn serve_rig(
     let data = options.data.clone();
     let start = Service::start(options);
     // Elsewhere the first line that it prints states that it listens.
-    let service = match std::io::stderr().is_terminal() {
-        true => shown_wait("opening the data folder", start).await?,
-        false => start.await?,
+    let started = match std::io::stderr().is_terminal() {
+        true => shown_wait("opening the data folder", start).await,
+        false => start.await,
+    };
+    let service = match started {
+        Err(ServeError::Bind { bind, source }) if source.kind() == ErrorKind::AddrInUse => {
+            return Err(taken(bind).await);
+        }
+        started => started?,
     };
     announce(&data, &service, tls.as_ref());
     let operator = bench.map_or(Ok(()), |bench| send_operator(args, bench, &service));
@@ -180,6 +192,30 @@ fn send_operator(args: &ServeArgs, bench: &mut VirtualBench, service: &Service) 
         }
         None => bench.send_operator(&service.local_url(), key.as_deref()),
     }
+}
+
+/// The error of an address at which another program listens: which one, if it answers as this service does. It is sent
+/// no key, since it may be any program.
+async fn taken(bind: SocketAddr) -> CliError {
+    let local: SocketAddr = match bind.ip() {
+        IpAddr::V4(ip) if ip.is_unspecified() => (Ipv4Addr::LOCALHOST, bind.port()).into(),
+        IpAddr::V6(ip) if ip.is_unspecified() => (Ipv6Addr::LOCALHOST, bind.port()).into(),
+        _ => bind,
+    };
+    let by = holder(&format!("http://{local}")).await;
+    let by = by.unwrap_or_else(|| "a program that does not answer as palpate over HTTP".into());
+    CliError::PortTaken { bind, by, free: SocketAddr::new(bind.ip(), 0) }
+}
+
+/// The service at a URL, with its database if it states it; `None` if no palpate answers.
+async fn holder(url: &str) -> Option<String> {
+    let client = Client::new(url, None, None).ok()?.patient(HOLDER_WAIT);
+    if client.look().await.ok()? != Found::Palpate {
+        return None;
+    }
+    let database = client.status().await.ok().map(|status| status.service.database);
+    let of = database.map_or_else(String::new, |database| format!(" of {database}"));
+    Some(format!("the palpate service{of} ({url})"))
 }
 
 /// Why the virtual operator cannot reach the service; `None` if it can.
