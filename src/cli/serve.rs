@@ -25,6 +25,7 @@ use super::signals::{Asked, Signals};
 use super::virtual_bench::VirtualBench;
 use crate::api::{ServeError, ServeOptions, Service, Tls};
 use crate::conductor::AutoResume;
+use crate::state::StoredState;
 
 /// Longest wait for the status of a service that has the port of another one.
 const HOLDER_WAIT: Duration = Duration::from_secs(2);
@@ -158,7 +159,9 @@ async fn serve_rig(
         }
         let asked = signals.next().await;
         if let Some(run) = service.active_run() {
-            let words = ending_words(run.scan_id, run.is_manual, asked);
+            // A manual run moves nothing; of a paused one the tips are up, or an e-stop holds them.
+            let raises = !run.is_manual && run.state != StoredState::Paused;
+            let words = ending_words(run.scan_id, raises, asked);
             // A terminal that takes no text must not delay the end.
             std::thread::spawn(move || note(words));
         }
@@ -168,16 +171,16 @@ async fn serve_rig(
     operator
 }
 
-/// What the end of the service does to the active run, and how the run resumes. A manual run moves nothing.
-fn ending_words(scan_id: i64, is_manual: bool, asked: Asked) -> String {
-    let raises = if is_manual { "" } else { "raises the tips and " };
+/// What the end of the service does to the active run, and how the run resumes. `raises`: it raises the tips.
+fn ending_words(scan_id: i64, raises: bool, asked: Asked) -> String {
+    let raises = if raises { "raises the tips and " } else { "" };
     let again = match asked {
         Asked::Interrupt => "; Ctrl-C again changes nothing",
         Asked::Terminate | Asked::HangUp => "",
     };
     format!(
-        "the service {raises}leaves run {scan_id} to be resumed: the next `palpate serve` resumes it if its arming \
-         allows it, otherwise `palpate resume {scan_id}` does then{again}"
+        "the service {raises}leaves run {scan_id} to be resumed: the next `palpate serve` resumes it or states why not, \
+         and then `palpate resume {scan_id}` does{again}"
     )
 }
 
@@ -252,11 +255,11 @@ mod tests {
 
     #[test]
     fn a_service_that_ends_states_what_becomes_of_its_run() {
-        let words = ending_words(3, false, Asked::Interrupt);
+        let words = ending_words(3, true, Asked::Interrupt);
         let wanted = "the service raises the tips and leaves run 3 to be resumed: the next `palpate serve` resumes it \
-                      if its arming allows it, otherwise `palpate resume 3` does then; Ctrl-C again changes nothing";
+                      or states why not, and then `palpate resume 3` does; Ctrl-C again changes nothing";
         assert_eq!(words, wanted);
-        let words = ending_words(3, true, Asked::Terminate);
+        let words = ending_words(3, false, Asked::Terminate);
         assert!(!words.contains("tips") && !words.contains("Ctrl-C"), "{words}");
     }
 }
