@@ -11,14 +11,19 @@ use super::error::{CliError, CliResult};
 use super::find::find_run;
 use super::next::Next;
 use super::output::{counted, duration, grouped, say, say_json};
+use super::times::second;
 use super::view::{NeedView, StatusView};
 use super::{At, embed, workers};
+use crate::campaign::bench::interlock::TripKind;
 use crate::campaign::bench::stopping::StoppingDistance;
 use crate::campaign::shown::safe_end::{SafeEnd, Tips};
 use crate::campaign::shown::status::RunStatus;
 use crate::ids::RunUid;
 use crate::state::PausedWhy;
-use crate::store::RunRow;
+use crate::store::{ActionRow, RunRow};
+
+/// Newest actions among which the request of a latched e-stop is searched.
+const NEWEST_ACTIONS: usize = 100;
 
 /// Options of a request to the active run.
 #[derive(Debug, Clone, Args)]
@@ -72,7 +77,9 @@ pub async fn status(at: &At) -> CliResult<()> {
     }
     let twins: Value = client.get("/api/v1/twins").await?;
     let workers = workers::line(&client).await;
-    say(status_words(&client.status().await?, &twins, workers));
+    let status = client.status().await?;
+    let estop = estop_words(&client, &status).await;
+    say(status_words(&status, &twins, estop, workers));
     Ok(())
 }
 
@@ -251,11 +258,31 @@ async fn abort_motion(args: &ActArgs) -> CliResult<()> {
     Ok(())
 }
 
-fn status_words(status: &StatusView, twins: &Value, workers: Option<String>) -> String {
+/// Who requested the last e-stop, and why, while one is latched: it latches before a name is read. `None` without one, or
+/// if the log of actions is not available.
+async fn estop_words(client: &Client, status: &StatusView) -> Option<String> {
+    status.rig.trip.as_ref().filter(|trip| trip.kind == TripKind::Estop)?;
+    let newest = client.first::<ActionRow>("/api/v1/actions?", NEWEST_ACTIONS).await;
+    let is_stop = |action: &&ActionRow| action.accepted && action.action == "estop";
+    newest.ok()?.0.iter().find(is_stop).map(requested_words)
+}
+
+fn requested_words(action: &ActionRow) -> String {
+    let why = action.why.as_ref().map_or_else(String::new, |why| format!(": {why}"));
+    format!("e-stop   last requested by {} at {}{why}", action.who, second(action.at))
+}
+
+fn status_words(
+    status: &StatusView,
+    twins: &Value,
+    estop: Option<String>,
+    workers: Option<String>,
+) -> String {
     let rig = &status.rig;
     let (label, state) = (rig.label.as_str(), rig.state_words());
     let mut lines = status.answers();
     lines.push(format!("rig      {} ({label}): {state}", rig.name));
+    lines.extend(estop);
     lines.extend(rig.safe_end.as_ref().map(safe_end_words));
     if let Some(p) = rig.pose {
         let (x, y, z, r) = (p.x_mm, p.y_mm, p.z_mm, p.radius_mm);
@@ -388,6 +415,18 @@ mod tests {
         assert_eq!(words(true), none);
         let runs = "`palpate runs` reads a data folder without a service";
         assert_eq!(words(false), format!("{none}; {runs}"));
+    }
+
+    #[test]
+    fn the_person_who_requested_an_e_stop_is_named_with_the_reason() {
+        let mut action = json!({ "id": 7, "at": "2026-11-23T00:00:00Z", "run": null, "action": "estop",
+            "who": "ada (local)", "key_id": null, "why": "to rehearse it", "accepted": true, "detail": null });
+        let words = |action: &Value| requested_words(&ActionRow::deserialize(action).unwrap());
+        let at = second("2026-11-23T00:00:00Z".parse().unwrap());
+        let named = format!("e-stop   last requested by ada (local) at {at}");
+        assert_eq!(words(&action), format!("{named}: to rehearse it"));
+        action["why"] = Value::Null;
+        assert_eq!(words(&action), named);
     }
 
     #[test]

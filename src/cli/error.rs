@@ -3,6 +3,7 @@
 //! a request in a message: a person asked for a command (`PALPATE_LOG=debug` shows the requests).
 
 use std::io::{self, ErrorKind};
+use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
@@ -87,6 +88,11 @@ pub enum CliError {
     /// A file could not be read or written.
     #[error("{path}: {}", io_words(source), path = path.display())]
     File { path: PathBuf, source: io::Error },
+    /// Another program listens at the address of a service that starts.
+    #[error(
+        "{bind} is in use by {by}: choose another port with --bind, such as --bind {free} for a free one"
+    )]
+    PortTaken { bind: SocketAddr, by: String, free: SocketAddr },
     /// The service could not be started in this process.
     #[error("starting the service: {0}")]
     Serve(#[from] ServeError),

@@ -21,6 +21,7 @@ use crate::carried::SENSORS;
 use crate::dataset::build::Progress;
 use crate::dataset::import::coordinates::Coordinates;
 use crate::dataset::import::preview;
+use crate::dataset::import::sensor::ImportedSensor;
 use crate::dataset::import::summary::Summary;
 use crate::file_kind::FileKind;
 
@@ -62,7 +63,7 @@ pub async fn import(args: ImportArgs) -> CliResult<()> {
     let map = args.coordinates.as_deref().map(read_input).transpose()?;
     let summary = understood(&args, sensor.clone(), map.as_deref()).await?;
     if !args.at.json {
-        show(&summary);
+        show(&summary, &ImportedSensor::from_toml(&args.sensor.display().to_string(), &sensor)?);
     }
     if args.dry_run {
         let answer = json!({ "summary": summary, "stored": false });
@@ -120,8 +121,8 @@ async fn store(
     Ok(())
 }
 
-/// Prints a summary for people.
-fn show(summary: &Summary) {
+/// Prints a summary of trials of a sensor for people.
+fn show(summary: &Summary, sensor: &ImportedSensor) {
     let range = |range: Option<[f64; 2]>, unit: &str| match range {
         Some([least, most]) => format!("{} to {} {unit}", short(least), short(most)),
         None => "not known".to_owned(),
@@ -144,6 +145,16 @@ fn show(summary: &Summary) {
     line("contacts", &counts(&summary.contact_counts, "with "));
     line("x", &range(summary.x_mm, "mm"));
     line("y", &range(summary.y_mm, "mm"));
+    let (width, height) = (sensor.width_mm, sensor.height_mm);
+    if summary.may_be_metres([width, height]) {
+        line(
+            "",
+            &format_args!(
+                "every position is within 1 mm of the corner of a skin of {width} x {height} mm: if x_mm and \
+                 y_mm are metres, name a map with scale = 1000 by --coordinates"
+            ),
+        );
+    }
     let without = match summary.contacts_without_force {
         0 => String::new(),
         without => format!(", {without} contacts without"),

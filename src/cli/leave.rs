@@ -84,9 +84,12 @@ mod tests {
 
     #[test]
     fn every_letter_of_the_question_is_an_answer() {
-        for (question, count) in
-            [(QUESTION_ON_RUN, 4), (QUESTION_ON_PAUSED_RUN, 4), (QUESTION_ON_WAITING_RUN, 3)]
-        {
+        for (question, count) in [
+            (QUESTION_ON_RUN, 4),
+            (QUESTION_ON_PAUSED_RUN, 4),
+            (QUESTION_ON_WAITING_RUN, 3),
+            (QUESTION_ON_TRAINING, 3),
+        ] {
             assert!(question.starts_with("one letter, then Enter:\n"), "{question}");
             let letters: Vec<&str> = question.split_whitespace().filter(|w| w.len() == 1).collect();
             assert_eq!(letters.len(), count);

@@ -281,8 +281,10 @@ pub enum Command {
     Dataset(dataset::DatasetArgs),
     /// Train a net by a recipe, on a dataset; the model is stored in the service.
     ///
-    /// The service trains, and resumes after a restart. Exit code 2 if the recipe contains an
-    /// invalid value: each problem names key, value and limit.
+    /// The service trains, and resumes after a restart. Ctrl-C offers to detach or stop; without a
+    /// terminal it stops at a checkpoint, from which the same command resumes. A closed terminal
+    /// detaches. Exit code 2 if the recipe contains an invalid value: each problem names key, value
+    /// and limit.
     Train(train::TrainArgs),
     /// List, show and stop trainings and evaluations.
     Job(job::JobArgs),

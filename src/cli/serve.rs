@@ -1,15 +1,18 @@
 //! `palpate serve`: the service until a signal ends it; without a rig file with a virtual bench.
-//! Uses: `api`, `virtual_bench`, `browser`. Never: anything that a client could do.
+//! Uses: `api`, `virtual_bench`, `browser`, and `client` for the name of a service that has its port. Never: anything else
+//! that a client could do.
 
-use std::io::IsTerminal;
-use std::net::SocketAddr;
+use std::io::{ErrorKind, IsTerminal};
+use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 
 use clap::Args;
 use sd_notify::NotifyState;
 
 use super::bench_args::BenchArgs;
 use super::browser;
+use super::client::{Client, Found};
 use super::data_or_default;
 use super::embed::TWIN_WORKERS;
 use super::error::{CliError, CliResult};
@@ -18,10 +21,14 @@ use super::key::key;
 use super::output::{note, say};
 use super::progress::shown_wait;
 use super::running::Running;
-use super::signals::Signals;
+use super::signals::{Asked, Signals};
 use super::virtual_bench::VirtualBench;
-use crate::api::{ServeOptions, Service, Tls};
+use crate::api::{ServeError, ServeOptions, Service, Tls};
 use crate::conductor::AutoResume;
+use crate::state::StoredState;
+
+/// Longest wait for the status of a service that has the port of another one.
+const HOLDER_WAIT: Duration = Duration::from_secs(2);
 
 /// Options of `serve`.
 #[derive(Debug, Clone, Args)]
@@ -126,9 +133,15 @@ async fn serve_rig(
     let data = options.data.clone();
     let start = Service::start(options);
     // Elsewhere the first line that it prints states that it listens.
-    let service = match std::io::stderr().is_terminal() {
-        true => shown_wait("opening the data folder", start).await?,
-        false => start.await?,
+    let started = match std::io::stderr().is_terminal() {
+        true => shown_wait("opening the data folder", start).await,
+        false => start.await,
+    };
+    let service = match started {
+        Err(ServeError::Bind { bind, source }) if source.kind() == ErrorKind::AddrInUse => {
+            return Err(taken(bind).await);
+        }
+        started => started?,
     };
     announce(&data, &service, tls.as_ref());
     let operator = bench.map_or(Ok(()), |bench| send_operator(args, bench, &service));
@@ -144,16 +157,31 @@ async fn serve_rig(
         if args.open {
             browser::open(&service.local_url());
         }
-        service
-            .run_until(async {
-                let _ = signals.next().await;
-            })
-            .await;
-    } else {
-        service.shutdown().await;
+        let asked = signals.next().await;
+        if let Some(run) = service.active_run() {
+            // A manual run moves nothing; of a paused one the tips are up, or an e-stop holds them.
+            let raises = !run.is_manual && run.state != StoredState::Paused;
+            let words = ending_words(run.scan_id, raises, asked);
+            // A terminal that takes no text must not delay the end.
+            std::thread::spawn(move || note(words));
+        }
     }
+    service.shutdown().await;
     Running::remove(&data);
     operator
+}
+
+/// What the end of the service does to the active run, and how the run resumes. `raises`: it raises the tips.
+fn ending_words(scan_id: i64, raises: bool, asked: Asked) -> String {
+    let raises = if raises { "raises the tips and " } else { "" };
+    let again = match asked {
+        Asked::Interrupt => "; Ctrl-C again changes nothing",
+        Asked::Terminate | Asked::HangUp => "",
+    };
+    format!(
+        "the service {raises}leaves run {scan_id} to be resumed: the next `palpate serve` resumes it or states why not, \
+         and then `palpate resume {scan_id}` does{again}"
+    )
 }
 
 /// Starts the virtual operator, if it can reach the service.
@@ -167,6 +195,30 @@ fn send_operator(args: &ServeArgs, bench: &mut VirtualBench, service: &Service) 
         }
         None => bench.send_operator(&service.local_url(), key.as_deref()),
     }
+}
+
+/// The error of an address at which another program listens: which one, if it answers as this service does. It is sent
+/// no key, since it may be any program.
+async fn taken(bind: SocketAddr) -> CliError {
+    let local: SocketAddr = match bind.ip() {
+        IpAddr::V4(ip) if ip.is_unspecified() => (Ipv4Addr::LOCALHOST, bind.port()).into(),
+        IpAddr::V6(ip) if ip.is_unspecified() => (Ipv6Addr::LOCALHOST, bind.port()).into(),
+        _ => bind,
+    };
+    let by = holder(&format!("http://{local}")).await;
+    let by = by.unwrap_or_else(|| "a program that does not answer as palpate over HTTP".into());
+    CliError::PortTaken { bind, by, free: SocketAddr::new(bind.ip(), 0) }
+}
+
+/// The service at a URL, with its database if it states it; `None` if no palpate answers.
+async fn holder(url: &str) -> Option<String> {
+    let client = Client::new(url, None, None).ok()?.patient(HOLDER_WAIT);
+    if client.look().await.ok()? != Found::Palpate {
+        return None;
+    }
+    let database = client.status().await.ok().map(|status| status.service.database);
+    let of = database.map_or_else(String::new, |database| format!(" of {database}"));
+    Some(format!("the palpate service{of} ({url})"))
 }
 
 /// Why the virtual operator cannot reach the service; `None` if it can.
@@ -199,5 +251,15 @@ mod tests {
         assert_eq!(without_operator(false, false), None);
         assert_eq!(without_operator(true, false), Some("it has no TLS"));
         assert!(without_operator(false, true).unwrap().contains("PALPATE_KEY"));
+    }
+
+    #[test]
+    fn a_service_that_ends_states_what_becomes_of_its_run() {
+        let words = ending_words(3, true, Asked::Interrupt);
+        let wanted = "the service raises the tips and leaves run 3 to be resumed: the next `palpate serve` resumes it \
+                      or states why not, and then `palpate resume 3` does; Ctrl-C again changes nothing";
+        assert_eq!(words, wanted);
+        let words = ending_words(3, false, Asked::Terminate);
+        assert!(!words.contains("tips") && !words.contains("Ctrl-C"), "{words}");
     }
 }

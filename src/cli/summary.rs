@@ -183,7 +183,8 @@ impl fmt::Display for Closing {
 }
 
 impl Closing {
-    /// Table of trials by contacts, with the paper's scaled to the same number of trials.
+    /// Table of trials by contacts, of a whole run with the paper's scaled to the same number of trials: the trials of a
+    /// part have other settings.
     fn table(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Summary { run, contact_counts, .. } = &self.summary;
         let stored: u64 = contact_counts.iter().sum();
@@ -192,6 +193,18 @@ impl Closing {
         }
         let Some((name, paper)) = table_one(run.kind, stored) else { return Ok(()) };
         let column = format!("run {} ({})", run.scan_id, run.label.as_str());
+        if !self.is_success() {
+            writeln!(f, "\n  contacts {column:>18}")?;
+            for (contacts, here) in contact_counts.iter().enumerate() {
+                writeln!(f, "  {contacts:>8} {:>18}", grouped(*here))?;
+            }
+            let planned = grouped(run.trials_planned);
+            return writeln!(
+                f,
+                "  These are {} of {planned} trials; a whole run is compared with Table I.",
+                grouped(stored)
+            );
+        }
         writeln!(f, "\n  contacts {column:>18} {:>26}", format!("{name}, Table I, scaled"))?;
         for (contacts, (here, paper)) in contact_counts.iter().zip(paper).enumerate() {
             let here = grouped(*here);
@@ -323,6 +336,20 @@ pub(super) mod tests {
         assert_eq!(line(&["running", "interrupted", "running"], &["ended"]), parts);
         assert_eq!(line(&["running"], &["ended", "ended"]), parts);
         assert_eq!(line(&["paused", "running"], &["resumed", "ended"]), parts);
+    }
+
+    #[test]
+    fn only_a_whole_run_is_compared_with_table_i() {
+        let whole = Closing::of(summary(|_| {}), "d".into(), 1.0, None, None, None).to_string();
+        assert!(whole.contains("Real-Hex, Table I, scaled"), "{whole}");
+        let part = summary(|of| {
+            of["trials_stored"] = 12.into();
+            of["contact_counts"] = json!([0, 12, 0, 0, 0, 0, 0]);
+            of["run"]["exit_status"] = "stopped".into();
+        });
+        let part = Closing::of(part, "d".into(), 1.0, None, None, None).to_string();
+        let end = "These are 12 of 40 trials; a whole run is compared with Table I.\n";
+        assert!(part.ends_with(end) && !part.contains("scaled"), "{part}");
     }
 
     #[test]

@@ -26,6 +26,7 @@ use crate::file_kind::FileKind;
 use crate::learn::recipe::{Net, map_channels};
 use crate::learn::targets::Quantity;
 use crate::problem::Problem;
+use crate::store::TaskState;
 
 /// Help of the argument RECIPE.
 fn recipe_help() -> String {
@@ -316,7 +317,10 @@ async fn follow(
                             asking.open();
                             None
                         }
-                        Interrupt::Stop | Interrupt::Abort | Interrupt::Leave => Some(Choice::Stop),
+                        Interrupt::Stop | Interrupt::Abort | Interrupt::Leave => {
+                            asking.close();
+                            Some(Choice::Stop)
+                        }
                     }
                 }
             },
@@ -324,7 +328,7 @@ async fn follow(
         match choice {
             Some(Choice::Detach) => return Ok(None),
             Some(Choice::Stop) => {
-                screen.note("stopping at a checkpoint");
+                screen.note(stopping(now.task.state));
                 let path = format!("/api/v1/jobs/{}/stop", now.task.id);
                 client.post::<Value>(&path, &Value::Null).await?;
             }
@@ -332,5 +336,29 @@ async fn follow(
             Some(Choice::Pause | Choice::Resume) | None => {}
         }
         now = client.get(&format!("/api/v1/jobs/{}", now.task.id)).await?;
+    }
+}
+
+/// What a stop of a training does, by its state.
+fn stopping(state: TaskState) -> &'static str {
+    match state {
+        TaskState::Waiting => {
+            "taking the training out of the queue; the same command requests it again"
+        }
+        TaskState::Running | TaskState::Done | TaskState::Stopped | TaskState::Failed => {
+            "stopping at a checkpoint, from which the same command resumes"
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_stop_states_how_the_training_resumes() {
+        assert!(stopping(TaskState::Running).contains("the same command resumes"));
+        let waiting = stopping(TaskState::Waiting);
+        assert!(waiting.contains("out of the queue") && !waiting.contains("checkpoint"));
     }
 }

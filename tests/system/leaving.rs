@@ -224,6 +224,21 @@ async fn ctrl_c_takes_back_the_start_of_a_stopped_run_that_waits_for_its_turn() 
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn a_service_that_ends_during_a_run_states_how_the_run_resumes() {
+    let desk = Desk::new("service-ended").await;
+    desk.run(&["--detach"]).detached();
+    let mut attached = desk.palpate(&["attach"]);
+    attached.until_stored(1);
+    attached.signal(Signal::HUP);
+    attached.detached();
+    let service = desk.service().unwrap();
+    kill_process(Pid::from_raw(service as i32).unwrap(), Signal::TERM).unwrap();
+    until("the end of the service", || desk.service().is_none());
+    let log = std::fs::read_to_string(desk.data().join("service.log")).unwrap();
+    assert!(log.contains("leaves run 1 to be resumed: the next `palpate serve`"), "{log}");
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn a_terminal_that_is_closed_before_the_run_begins_leaves_it_to_the_service() {
     let desk = Desk::new("hung-up").await;
     let run = desk.run(&[]);

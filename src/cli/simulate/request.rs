@@ -47,8 +47,8 @@ pub struct RandomRequest {
     /// Number of trials of a shard.
     #[arg(long, value_name = "N", default_value_t = 10_000)]
     shard_trials: u64,
-    /// Folder whose `cache` contains solved unit responses [env: PALPATE_DATA] [default:
-    /// palpate-data].
+    /// Folder whose `cache` keeps the solved unit responses of the skin, and nothing else; created if
+    /// it is missing [env: PALPATE_DATA] [default: palpate-data].
     #[arg(long, value_name = "DIR")]
     pub data: Option<PathBuf>,
 }

@@ -51,8 +51,8 @@ pub struct TrialArgs {
     /// .svg, .png or .pdf.
     #[arg(long, value_name = "FILE.svg", value_parser = figure_file)]
     picture: Option<PathBuf>,
-    /// Folder whose `cache` contains solved unit responses [env: PALPATE_DATA] [default:
-    /// palpate-data].
+    /// Folder whose `cache` keeps the solved unit responses of the skin, and nothing else; created if
+    /// it is missing [env: PALPATE_DATA] [default: palpate-data].
     #[arg(long, value_name = "DIR")]
     data: Option<PathBuf>,
     /// Accepted for scripts: answers are always lines of JSON.

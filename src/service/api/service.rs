@@ -23,6 +23,7 @@ use super::{
 };
 use crate::campaign::run::engine;
 use crate::campaign::shown::command::Request;
+use crate::campaign::shown::status::RunStatus;
 use crate::clock::Clock;
 use crate::conductor::{AutoResume, Conductor, RigFile};
 use crate::dataset::catalog::Catalog;
@@ -208,10 +209,9 @@ impl Service {
         self.url().replacen(&self.address.to_string(), &local.to_string(), 1)
     }
 
-    /// Serves until `end` completes, then shuts down.
-    pub async fn run_until(self, end: impl Future<Output = ()>) {
-        end.await;
-        self.shutdown().await;
+    /// The active run; `None` without one.
+    pub fn active_run(&self) -> Option<RunStatus> {
+        self.app.campaign.status().run
     }
 
     /// Raises the tips, leaves an active run resumable, and closes the database.

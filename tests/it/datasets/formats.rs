@@ -236,6 +236,10 @@ async fn positions_of_a_robot_become_positions_on_the_skin() {
     let output = import(&lab, &files, "robot.csv", &[]).await;
     let errors = String::from_utf8_lossy(&output.stderr).into_owned();
     assert!(errors.contains("x_mm = -0.1: must be from 0 to 100"), "{errors}");
+    let text = "v0,v1,v2,x_mm,y_mm,force_n\n1,2,3,0.05,0.03,2\n1,2,3,0.01,0.07,2\n";
+    std::fs::write(files.join("metres.csv"), text).unwrap();
+    let shown = support::succeeded(&import(&lab, &files, "metres.csv", &["--dry-run"]).await);
+    assert!(shown.contains("are metres, name a map with scale = 1000"), "{shown}");
     std::fs::write(files.join("map.toml"), "scale = 1000\noffset_mm = [100, 80]\n").unwrap();
     let output = import(&lab, &files, "robot.csv", &["--coordinates", "map.toml", "--json"]).await;
     let made: Value = serde_json::from_str(&support::succeeded(&output)).unwrap();

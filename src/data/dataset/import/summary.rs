@@ -7,6 +7,11 @@ use serde::Serialize;
 
 use crate::store::ImportedTrial;
 
+/// Distance from the corner of the skin within which positions may be metres, mm: all of them are within 1 m.
+const METRES_WITHIN_MM: f64 = 1.0;
+/// Shortest side of a skin on which positions within this distance are improbable, mm.
+const METRES_SIDE_MIN_MM: f64 = 10.0;
+
 /// Summary of the trials of a file.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
 pub struct Summary {
@@ -49,6 +54,15 @@ fn extend(range: &mut Option<[f64; 2]>, value: f64) {
 }
 
 impl Summary {
+    /// Whether the positions may be metres: all of them are within 1 mm of the corner of a skin with sides of this
+    /// length, mm, and not all in it.
+    pub fn may_be_metres(&self, sides_mm: [f64; 2]) -> bool {
+        let (Some(x_mm), Some(y_mm)) = (self.x_mm, self.y_mm) else { return false };
+        let largest_mm = x_mm.into_iter().chain(y_mm).map(f64::abs).fold(0.0, f64::max);
+        let is_near = largest_mm > 0.0 && largest_mm < METRES_WITHIN_MM;
+        is_near && sides_mm.iter().all(|side| *side >= METRES_SIDE_MIN_MM)
+    }
+
     /// Adds a trial.
     pub fn add(&mut self, trial: &ImportedTrial) {
         self.rows += 1;
@@ -110,5 +124,17 @@ mod tests {
         trial.contacts = vec![Contact { force_n: Some(0.0), ..place }];
         summary.add(&trial);
         assert_eq!((summary.contacts_of_0_n, summary.force_n), (1, Some([0.0, 4.0])));
+    }
+
+    #[test]
+    fn positions_within_1_mm_of_a_corner_may_be_metres() {
+        let of = |x: [f64; 2], y: [f64; 2]| {
+            let summary = Summary { x_mm: Some(x), y_mm: Some(y), ..Summary::default() };
+            [[540.0, 380.0], [540.0, 5.0]].map(|sides| summary.may_be_metres(sides))
+        };
+        assert_eq!(of([0.02, 0.51], [0.01, 0.37]), [true, false]);
+        assert_eq!(of([0.02, 1.0], [0.01, 0.37]), [false; 2]);
+        assert_eq!(of([0.0, 0.0], [0.0, 0.0]), [false; 2]);
+        assert!(!Summary::default().may_be_metres([540.0, 380.0]), "no position is known");
     }
 }
