@@ -18,8 +18,6 @@ pub const RECON_NET: &str = "recon-net";
 pub const END_TO_END: &str = "end-to-end";
 /// The regressions that nets are compared with: ending of the names of their recipes, and name in tables.
 pub const REGRESSIONS: [(&str, &str); 2] = [("ridge", "ridge"), ("kernel-ridge", "kernel ridge")];
-/// Pixels of the paper's force maps, mm.
-const PIXELS_MM: [f64; 3] = [4.0, 10.0, 20.0];
 /// The coarser of the two pixels of the factorial design, mm.
 const COARSE_MM: f64 = 20.0;
 
@@ -220,10 +218,11 @@ impl Budget {
             format!("{} epochs of {rows}", self.epochs.unwrap_or(epochs))
         };
         let transfer = self.scale.transfer();
-        let is_trained = |mm: &f64| self.finest_mm.is_none_or(|finest| *mm >= finest);
-        let maps = PIXELS_MM.into_iter().filter(is_trained).map(|pixel_mm| {
-            let training = self.scale.maps(pixel_mm);
-            format!("{} ({pixel_mm} mm)", extent(training.epochs, training.rows))
+        let mut maps = self.table_iv_maps();
+        maps.dedup_by_key(|map| map.pixel_mm);
+        let maps = maps.iter().map(|map| {
+            let training = self.scale.maps(map.pixel_mm);
+            format!("{} ({} mm)", extent(training.epochs, training.rows), map.pixel_mm)
         });
         format!(
             "Scale {}: Transfer-Net by {}, {}; nets of maps {}; seed {}{}. Data: {label}. \

@@ -6,14 +6,12 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 
 use jiff::{SignedDuration, Timestamp};
-use palpate::clock::Clock;
 use palpate::journal::Journal;
 use palpate::state::{StateChange, StoredState};
-use palpate::store::Store;
 use reqwest::Method;
 use serde_json::{Value, json};
 
-use crate::datasets::filled::{Filled, folder};
+use crate::datasets::filled::{Filled, folder, store};
 use crate::support::{PALPATE, answered, is_refused};
 
 const QUEUE: &str = "/api/v1/queue";
@@ -202,7 +200,7 @@ async fn a_run_that_has_begun_is_neither_edited_nor_moved() {
     let lab = Filled::serve(data).await;
     let run = lab.queue(submission(2)).await;
     let data = lab.end().await;
-    let store = Store::open(&data.join("palpate.db"), Clock::new(1.0)).await.unwrap();
+    let store = store(&data).await;
     let uid = run["uid"].as_str().unwrap().parse().unwrap();
     store.run_state(uid, StateChange::to(StoredState::Running), Timestamp::now()).await.unwrap();
     store.close().await;

@@ -5,13 +5,14 @@ use std::path::Path;
 
 use sqlx::Connection;
 
-use crate::old_data::{copy, open};
+use crate::datasets::filled::store;
+use crate::old_data::copy;
 use crate::support::{Folder, command, database, done, execute, finished, succeeded};
 
 /// A folder with a killed run, 2, that may resume automatically, and one that waits, 3.
 async fn killed(name: &str) -> Folder {
     let folder = copy(name);
-    open(&folder).await.close().await;
+    store(&folder).await.close().await;
     let waits = "UPDATE runs SET waiting_since = '2026-11-20T18:00:00.000Z' WHERE scan_id = 3;";
     execute(&folder, waits).await;
     folder

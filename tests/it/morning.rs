@@ -8,8 +8,8 @@ use std::time::Duration;
 use serde_json::{Value, json};
 use tokio::time::timeout;
 
-use crate::datasets::filled::Filled;
-use crate::old_data::{HALF, WHOLE, open, recorded, served};
+use crate::datasets::filled::{Filled, store};
+use crate::old_data::{HALF, WHOLE, recorded, served};
 use crate::support::{self, Process, not_done};
 
 /// Longest wait for anything.
@@ -198,7 +198,7 @@ async fn events_are_selected_by_kind_and_followed_as_they_happen() {
     let read = tokio::task::spawn_blocking(move || lines.next());
     // The stream begins with events after it was opened.
     tokio::time::sleep(Duration::from_millis(1000)).await;
-    let store = open(&folder).await;
+    let store = store(&folder).await;
     store.append_event(None, "rig", json!({ "state": "tripped" })).await.unwrap();
     let trip = store.append_event(None, "trip", json!({ "kind": "force" })).await.unwrap();
     store.close().await;

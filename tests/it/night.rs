@@ -6,15 +6,14 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::time::{Duration, Instant};
 
 use futures::StreamExt;
-use palpate::store::Store;
 use serde_json::{Value, json};
 use sim_core::stats::median;
 use tokio::time::timeout;
 use tokio_tungstenite::connect_async;
 use tokio_tungstenite::tungstenite::Message;
 
-use crate::datasets::filled::Filled;
-use crate::old_data::{HALF, NEXT, WHOLE, copy, open, recorded, served};
+use crate::datasets::filled::{Filled, store};
+use crate::old_data::{HALF, NEXT, WHOLE, copy, recorded, served};
 use crate::support::sensor;
 
 /// Longest wait for a message.
@@ -316,7 +315,7 @@ fn list_of(value: &Value) -> usize {
 #[tokio::test]
 async fn the_stored_history_of_a_run_that_is_not_stored_is_an_error() {
     let folder = copy("night-none");
-    let store: Store = open(&folder).await;
+    let store = store(&folder).await;
     let none = palpate::ids::RunUid::new();
     assert!(store.progress_by_configuration(none).await.is_err());
     assert!(store.wear(none).await.is_err());

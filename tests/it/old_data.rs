@@ -7,7 +7,6 @@ use std::time::Duration;
 
 use jiff::Timestamp;
 use palpate::campaign::run::resume;
-use palpate::clock::Clock;
 use palpate::digest::sha256_hex;
 use palpate::infer::plan::Plan as Net;
 use palpate::journal::Journal;
@@ -18,7 +17,7 @@ use palpate::store::{RunRow, Soundness, Store, TaskKind, TrialQuery, TrialRow};
 use serde_json::{Value, json};
 use sim_core::sensor::Sensor;
 
-use crate::datasets::filled::Filled;
+use crate::datasets::filled::{Filled, store};
 use crate::support::Folder;
 
 /// Runs of the folder, by their order: the last was queued when the service was killed.
@@ -63,10 +62,6 @@ fn unpack(from: &Path, to: &Path) {
             std::fs::write(to, zstd::decode_all(file).unwrap()).unwrap();
         }
     }
-}
-
-pub async fn open(folder: &Folder) -> Store {
-    Store::open(&folder.join("palpate.db"), Clock::new(1.0)).await.unwrap()
 }
 
 /// Each value of `wanted` is in `found`: null or absent alike, times as instants, numbers as far as JSON
@@ -134,7 +129,7 @@ async fn trials(store: &Store) -> Vec<TrialRow> {
 #[tokio::test]
 async fn every_record_of_an_earlier_version_has_the_value_that_was_recorded() {
     let (folder, recorded) = (copy("records"), recorded());
-    let store = open(&folder).await;
+    let store = store(&folder).await;
     assert_eq!(store.examine(1000).await.unwrap(), Soundness::Sound);
     assert_holds(&json!(runs(&store).await), &recorded["runs"], "runs");
     let mut found = Vec::new();
@@ -166,7 +161,7 @@ async fn every_record_of_an_earlier_version_has_the_value_that_was_recorded() {
 #[tokio::test]
 async fn datasets_models_and_jobs_of_an_earlier_version_have_the_values_that_were_recorded() {
     let (folder, recorded) = (copy("made"), recorded());
-    let store = open(&folder).await;
+    let store = store(&folder).await;
     let datasets = store.datasets().await.unwrap();
     let datasets = datasets.iter().map(|d| {
         json!({ "id": d.id, "name": d.name, "rows": d.rows, "bytes": d.bytes, "sha256": d.sha256,
@@ -197,7 +192,7 @@ async fn datasets_models_and_jobs_of_an_earlier_version_have_the_values_that_wer
 #[tokio::test]
 async fn todays_plan_of_a_killed_run_is_the_one_that_its_trials_followed() {
     let folder = copy("plan");
-    let store = open(&folder).await;
+    let store = store(&folder).await;
     let open = store.open_runs().await.unwrap();
     let [half] = &open[..] else { panic!("{open:?}") };
     assert_eq!(*half, runs(&store).await[HALF]);

@@ -2,7 +2,7 @@
 //! refusal, and by a client that does not wait. Each is carried out once.
 
 use std::path::Path;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use reqwest::Response;
 use serde_json::{Value, json};
@@ -11,7 +11,7 @@ use tokio::io::AsyncWriteExt;
 use tokio::net::TcpStream;
 
 use crate::datasets::filled::{Filled, folder};
-use crate::support::{SENSOR, database};
+use crate::support::{SENSOR, database, until};
 
 const QUEUE: &str = "/api/v1/queue";
 const QUICKSTART: &str = include_str!("../../experiments/quickstart.toml");
@@ -179,10 +179,7 @@ async fn a_request_of_a_client_that_does_not_wait_is_carried_out_once() {
     assert_eq!(lab.queued().await, n as usize);
     // Each is logged once, soon after its response is stored.
     let once = vec![json!(["queue", true, null]); n as usize];
-    let start = Instant::now();
-    while lab.logged(99).await != once {
-        assert!(start.elapsed() < Duration::from_secs(20), "{:?}", lab.logged(99).await);
-        tokio::time::sleep(Duration::from_millis(20)).await;
-    }
+    let logged = async || lab.logged(99).await;
+    until("the log", Duration::from_secs(20), logged, |found| *found == once).await;
     lab.close().await;
 }

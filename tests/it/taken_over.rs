@@ -4,7 +4,8 @@ use std::io::{BufRead, BufReader};
 use std::process::Stdio;
 use std::time::Duration;
 
-use crate::old_data::{copy, open};
+use crate::datasets::filled::store;
+use crate::old_data::copy;
 use crate::support::{answered, command, execute, http, served, until};
 
 /// Longest wait for the mark of a run.
@@ -13,7 +14,7 @@ const LIMIT: Duration = Duration::from_secs(60);
 #[tokio::test(flavor = "multi_thread")]
 async fn a_folder_is_taken_over_although_its_database_refuses_writes_at_first() {
     let folder = copy("no-writes");
-    open(&folder).await.close().await;
+    store(&folder).await.close().await;
     // A killed run, one that waits, and what an import has left.
     execute(
         &folder,

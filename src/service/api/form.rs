@@ -6,7 +6,8 @@ use axum::extract::multipart::{Field, Multipart, MultipartError};
 use axum::http::StatusCode;
 use bytes::Bytes;
 
-use super::limits::PART_MAX_BYTES;
+use super::audit::cut;
+use super::limits::{PART_MAX_BYTES, WHO_MAX_CHARS};
 use super::problem::{ApiError, ApiResult};
 use crate::problem::Problem;
 
@@ -14,6 +15,9 @@ use crate::problem::Problem;
 #[derive(FromRequest)]
 #[from_request(rejection(ApiError))]
 pub struct Form(Multipart);
+
+/// Texts of the named parts of a form, in the order of the names.
+pub type Texts<const N: usize> = [Option<String>; N];
 
 impl Form {
     /// Returns the next part.
@@ -23,6 +27,36 @@ impl Form {
     pub async fn next(&mut self) -> ApiResult<Option<Part<'_>>> {
         let field = self.0.next_field().await.map_err(refused)?;
         Ok(field.map(|field| Part { name: field.name().unwrap_or_default().to_owned(), field }))
+    }
+
+    /// Receives the part `file` and texts of these names; each may be absent.
+    ///
+    /// # Errors
+    /// 400 if there is another part, 413 if the file is longer than `max_bytes`; otherwise as [`Part::text`].
+    pub async fn parts<const N: usize>(
+        mut self,
+        max_bytes: usize,
+        names: [&str; N],
+    ) -> ApiResult<(Option<Vec<u8>>, Texts<N>)> {
+        let mut file = None;
+        let mut texts: Texts<N> = std::array::from_fn(|_| None);
+        while let Some(part) = self.next().await? {
+            if part.name == "file" {
+                file = Some(part.bytes(max_bytes).await?);
+            } else if let Some(at) = names.iter().position(|name| *name == part.name) {
+                texts[at] = Some(part.text().await?);
+            } else {
+                let known = match names.split_last() {
+                    Some((last, others)) => {
+                        format!("{} or {last}", [&["file"][..], others].concat().join(", "))
+                    }
+                    None => "file".into(),
+                };
+                let limit = format!("unknown part: must be {known}");
+                return Err(invalid(&cut(&part.name, WHO_MAX_CHARS), "..", &limit));
+            }
+        }
+        Ok((file, texts))
     }
 }
 

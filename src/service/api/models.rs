@@ -10,7 +10,7 @@ use utoipa::ToSchema;
 
 use super::App;
 use super::audit::{Act, cut};
-use super::form::{Form, invalid, missing};
+use super::form::{Form, Texts, invalid, missing};
 use super::jobs::ndjson;
 use super::limits::{MODEL_MAX_BYTES, WHO_MAX_CHARS};
 use super::pages::{Page, PageParams, PageRequest};
@@ -200,65 +200,38 @@ pub struct ModelForm {
         (status = 422,
             description = "sensor, facts, id or residuals are invalid, or the model does not run")))]
 pub async fn add(app: App, act: Act, form: Form) -> ApiResult<Created<ModelOut>> {
-    let parts = receive(form).await?;
+    let names = ["sensor", "facts", "name", "id", "residuals"];
+    let (file, texts) = form.parts(MODEL_MAX_BYTES, names).await?;
     app.still_allowed(&act).await?;
-    let row = store(&app, parts).await?;
+    let row = store(&app, file, texts).await?;
     act.about(row.id.as_str());
     let promotions = app.serving.promotions().await?;
     Ok(Created::at(format!("/api/v1/models/{}", row.id), out(&app, row, &promotions).await?))
 }
 
-/// Parts of the form of a model.
-#[derive(Default)]
-struct Parts {
-    file: Option<Vec<u8>>,
-    sensor: Option<String>,
-    facts: Option<String>,
-    name: Option<String>,
-    id: Option<String>,
-    residuals: Option<String>,
-}
-
-async fn receive(mut form: Form) -> ApiResult<Parts> {
-    let mut parts = Parts::default();
-    while let Some(part) = form.next().await? {
-        match part.name.as_str() {
-            "file" => parts.file = Some(part.bytes(MODEL_MAX_BYTES).await?),
-            "sensor" => parts.sensor = Some(part.text().await?),
-            "facts" => parts.facts = Some(part.text().await?),
-            "name" => {
-                let name = part.text().await?;
-                if let Some(limit) = violated(&name, WHO_MAX_CHARS) {
-                    return Err(invalid("name", &cut(&name, WHO_MAX_CHARS), &limit));
-                }
-                parts.name = Some(name);
-            }
-            "id" => parts.id = Some(part.text().await?),
-            "residuals" => parts.residuals = Some(part.text().await?),
-            other => {
-                let name = cut(other, WHO_MAX_CHARS);
-                let limit = "unknown part: must be file, sensor, facts, name, id or residuals";
-                return Err(invalid(&name, "..", limit));
-            }
-        }
-    }
-    Ok(parts)
-}
-
 /// Checks the parts of a form and stores the model.
-async fn store(app: &App, parts: Parts) -> ApiResult<ModelRow> {
-    let sensor = parts.sensor.ok_or_else(|| missing("sensor"))?;
-    let name = parts.name.ok_or_else(|| missing("name"))?;
-    let stated = parts.facts.ok_or_else(|| missing("facts"))?;
-    let onnx = parts.file.ok_or_else(|| missing("file"))?;
+async fn store(
+    app: &App,
+    file: Option<Vec<u8>>,
+    [sensor, stated, name, id, residuals]: Texts<5>,
+) -> ApiResult<ModelRow> {
+    if let Some(name) = &name
+        && let Some(limit) = violated(name, WHO_MAX_CHARS)
+    {
+        return Err(invalid("name", &cut(name, WHO_MAX_CHARS), &limit));
+    }
+    let sensor = sensor.ok_or_else(|| missing("sensor"))?;
+    let name = name.ok_or_else(|| missing("name"))?;
+    let stated = stated.ok_or_else(|| missing("facts"))?;
+    let onnx = file.ok_or_else(|| missing("file"))?;
     let (_, sensor_facts) = facts("sensor", &sensor).map_err(ApiError::problems)?;
     let stated: ModelFacts = parse_toml("facts", &stated).map_err(ApiError::problems)?;
-    let manifest = match parts.id {
+    let manifest = match id {
         None => manifest_for_foreign(&onnx, stated, &sensor_facts),
         Some(id) => manifest_with_id(&onnx, stated, &sensor_facts, ModelId::unchecked(id)),
     };
     let manifest = manifest.map_err(crate::infer::error::InferError::from)?;
-    let residuals = parts.residuals.map(|text| residuals_of(&manifest, &text)).transpose()?;
+    let residuals = residuals.map(|text| residuals_of(&manifest, &text)).transpose()?;
     let new = NewModel { name, manifest, onnx, sensor, losses: None, residuals };
     // The model must run on one frame before it is stored.
     new.try_out().await?;

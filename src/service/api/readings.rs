@@ -6,9 +6,9 @@ use serde::Deserialize;
 use utoipa::{IntoParams, ToSchema};
 
 use super::App;
-use super::audit::{Act, cut};
+use super::audit::Act;
 use super::form::{Form, invalid, missing};
-use super::limits::{FRAMES_MAX_BYTES, WHO_MAX_CHARS};
+use super::limits::FRAMES_MAX_BYTES;
 use super::problem::{ApiError, ApiResult, Body, Params};
 use crate::evaluate::request::{EvaluationReport, EvaluationRequest};
 use crate::infer::answer::Reading;
@@ -79,21 +79,9 @@ pub struct ReadingsForm {
         (status = 422,
             description = "the request is invalid, or the readings are of another model or of other frames"),
         (status = 507, description = "the disk has no room for the dataset")))]
-pub async fn score(app: App, act: Act, mut form: Form) -> ApiResult<Json<EvaluationReport>> {
-    let (mut file, mut request, mut model, mut frames_sha256) = (None, None, None, None);
-    while let Some(part) = form.next().await? {
-        match part.name.as_str() {
-            "file" => file = Some(part.bytes(FRAMES_MAX_BYTES).await?),
-            "request" => request = Some(part.text().await?),
-            "model" => model = Some(part.text().await?),
-            "frames_sha256" => frames_sha256 = Some(part.text().await?),
-            other => {
-                let name = cut(other, WHO_MAX_CHARS);
-                let limit = "unknown part: must be file, request, model or frames_sha256";
-                return Err(invalid(&name, "..", limit));
-            }
-        }
-    }
+pub async fn score(app: App, act: Act, form: Form) -> ApiResult<Json<EvaluationReport>> {
+    let names = ["request", "model", "frames_sha256"];
+    let (file, [request, model, frames_sha256]) = form.parts(FRAMES_MAX_BYTES, names).await?;
     app.still_allowed(&act).await?;
     let file = file.ok_or_else(|| missing("file"))?;
     let request = request.ok_or_else(|| missing("request"))?;

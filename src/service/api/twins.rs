@@ -7,9 +7,9 @@ use serde::{Deserialize, Serialize};
 use utoipa::{IntoParams, ToSchema};
 
 use super::App;
-use super::audit::{Act, cut};
-use super::form::{Form, invalid, missing};
-use super::limits::{FRAMES_MAX_BYTES, WHO_MAX_CHARS};
+use super::audit::Act;
+use super::form::{Form, missing};
+use super::limits::FRAMES_MAX_BYTES;
 use super::problem::{ApiError, ApiResult, Params, Path};
 use super::runs::find;
 use crate::ids::{RunUid, TrialId};
@@ -132,19 +132,12 @@ pub async fn store(
     app: App,
     act: Act,
     Path(run): Path<String>,
-    mut form: Form,
+    form: Form,
 ) -> ApiResult<Json<StoredTwins>> {
     let run = find(&app, &run).await?.uid;
     act.on(run);
     app.datasets.check_upload(0).await?;
-    let mut file = None;
-    while let Some(part) = form.next().await? {
-        if part.name != "file" {
-            let name = cut(&part.name, WHO_MAX_CHARS);
-            return Err(invalid(&name, "..", "unknown part: must be file"));
-        }
-        file = Some(part.bytes(FRAMES_MAX_BYTES).await?);
-    }
+    let (file, []) = form.parts(FRAMES_MAX_BYTES, []).await?;
     let file = file.ok_or_else(|| missing("file"))?;
     app.still_allowed(&act).await?;
     Ok(Json(app.twins.store_made(run, file.into()).await?))

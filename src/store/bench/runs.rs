@@ -16,11 +16,6 @@ use crate::ids::RunUid;
 use crate::state::StoredState;
 use crate::table::condition::Condition;
 
-/// State of a run `r` as it is read where open runs are left as they are.
-const STATE_READ: &str =
-    "(CASE WHEN r.state IN ('queued', 'interrupted', 'ended', 'removed') THEN r.state
-      ELSE 'interrupted' END)";
-
 impl Store {
     /// From now on, runs that an earlier process left open are read as interrupted: nothing drives them. They stay as
     /// they are stored, so that the next process finds what it would have found without this one.
@@ -84,13 +79,15 @@ impl Store {
         before: Option<i64>,
     ) -> StoreResult<RunPage> {
         const OPERATION: &str = "listing runs";
-        let mut query = Statement::new("SELECT r.* FROM runs r WHERE r.scan_id < ");
+        // A condition compares the state as it is read.
+        let mut query = Statement::new("SELECT r.* FROM (SELECT *, iif(");
+        query.bind(self.leaves_open_runs()).push(
+            " AND state NOT IN ('queued', 'interrupted', 'ended', 'removed'), 'interrupted', state)
+              AS state_read FROM runs) r WHERE r.scan_id < ",
+        );
         query.bind(before.unwrap_or(i64::MAX));
         conditions.iter().for_each(|condition| condition.push_onto(&mut query));
         query.push(" ORDER BY r.scan_id DESC LIMIT ").bind(i64::from(limit) + 1);
-        if self.leaves_open_runs() {
-            query.replace("r.state", STATE_READ);
-        }
         let read = move |c: &Connection| query.rows(c, OPERATION, RunRow::read);
         let runs = self.inner.bulk.read(OPERATION, read).await?;
         let mut runs: Vec<RunRow> = runs.into_iter().map(|run| self.as_read(run)).collect();

@@ -166,11 +166,6 @@ impl Statement {
         self
     }
 
-    /// Replaces each occurrence of a text.
-    pub(crate) fn replace(&mut self, text: &str, by: &str) {
-        self.text = self.text.replace(text, by);
-    }
-
     /// Appends a value.
     pub(crate) fn bind(&mut self, value: impl Into<Value>) -> &mut Self {
         self.values.push(value.into());

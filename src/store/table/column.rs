@@ -167,7 +167,7 @@ pub static RUN_COLUMNS: [Column; 10] = [
     c("experiment", "", Of::Text(|_| None), "r.experiment", "name of the experiment"),
     c("kind", "", Of::Text(|_| None), "r.kind", "`real-hex`, `real-random` or `imported`"),
     c("label", "", Of::Text(|_| None), "r.label", "`measured`, `virtual` or `simulated`"),
-    c("state", "", Of::Text(|_| None), "r.state", "state of the run"),
+    c("state", "", Of::Text(|_| None), "r.state_read", "state of the run"),
     c("exit_status", "", Of::Text(|_| None), "r.exit_status", "how it ended"),
     c("submitted_by", "", Of::Text(|_| None), "r.submitted_by", "person or key that submitted it"),
     c("created_at", "", Of::Time(|_| None), "r.created_at", "when it was submitted"),

@@ -71,10 +71,11 @@ pub fn find(
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::*;
 
-    const TRAINER: Known = Known {
+    /// A program that may be built.
+    pub const TRAINER: Known = Known {
         name: "palpate-trainer",
         variable: "PALPATE_TRAINER",
         folder: "trainer",

@@ -127,14 +127,8 @@ mod tests {
 
     #[test]
     fn a_missing_program_names_what_to_do() {
-        static KNOWN: Known = Known {
-            name: "palpate-trainer",
-            variable: "PALPATE_TRAINER",
-            folder: "trainer",
-            workspace: "",
-            about: "the trainer",
-        };
-        let error = ProgramError::Missing { known: &KNOWN, executable: "/usr/bin/palpate".into() };
+        let executable = "/usr/bin/palpate".into();
+        let error = ProgramError::Missing { known: &find::tests::TRAINER, executable };
         for words in [
             "no palpate-trainer: it is not next to /usr/bin/palpate",
             "PALPATE_TRAINER does not name it",

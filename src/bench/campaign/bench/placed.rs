@@ -1,16 +1,12 @@
 //! Where the axes are: read, and compared with their targets before z presses, after a touch, and under a load.
-//! Uses: `campaign::{bench::stage, bench::stopping, bench::interlock, bench::sound, run::control}`. Never: the plan,
-//! storage, a motion.
+//! Uses: `campaign::{bench::stage, bench::interlock, bench::sound, run::control}`. Never: the plan, storage, a motion.
 //!
 //! Not while z presses: on a wire that the axes share, each poll would be longer, and each press slower. Until they are
 //! read the limits of the forces hold.
 
 use crate::campaign::bench::interlock::{self, TripKind};
-use crate::campaign::bench::sound::{
-    awaits_ready, ready_by, require_no_alarm, require_on, require_zero,
-};
+use crate::campaign::bench::sound::{read_ready, require_no_alarm, require_on, require_zero};
 use crate::campaign::bench::stage::Stage;
-use crate::campaign::bench::stopping::POLL_S;
 use crate::campaign::run::control::Control;
 use crate::campaign::run::halt::Halt;
 use crate::clock::Clock;
@@ -86,7 +82,8 @@ async fn reached(
     target: &Pose,
     z_mm: Option<f64>,
 ) -> Result<Pose, Halt> {
-    let first = checked(bench, config, &read_ready(bench, clock).await?, target, z_mm);
+    let axes = read_ready(clock, || read(bench)).await?;
+    let first = checked(bench, config, &axes, target, z_mm);
     if first.is_ok() {
         return first;
     }
@@ -110,18 +107,6 @@ fn checked(
     match interlock::off_target(config, &pose, &target) {
         Some(words) => Err(Halt::trip(TripKind::Position, words)),
         None => Ok(pose),
-    }
-}
-
-/// As [`read`]; again, as long as [`awaits_ready`] holds for a moment: z may have arrived just now.
-async fn read_ready(bench: &Bench, clock: &Clock) -> Result<[AxisStatus; 4], RigError> {
-    let deadline = ready_by(clock);
-    loop {
-        let axes = read(bench).await?;
-        if !awaits_ready(&axes) || clock.now() >= deadline {
-            return Ok(axes);
-        }
-        clock.sleep(POLL_S).await;
     }
 }
 

@@ -1,11 +1,11 @@
 //! Whether one reading of a drive permits to rely on it: no alarm, its zero is known, its motor is on.
-//! Uses: `campaign::{bench::interlock, run::halt}`, `rig::traits`, `clock`. Never: requests to a drive, positions.
-
-use tokio::time::Instant;
+//! Uses: `campaign::{bench::interlock, bench::stopping, run::halt}`, `rig::traits`, `clock`. Never: positions.
 
 use crate::campaign::bench::interlock::TripKind;
+use crate::campaign::bench::stopping::POLL_S;
 use crate::campaign::run::halt::Halt;
 use crate::clock::Clock;
+use crate::rig::error::RigError;
 use crate::rig::traits::{Axis, AxisStatus};
 
 /// Longest time until a drive at rest reports that it is ready, process s: it may do so a moment after its motion ends.
@@ -39,12 +39,21 @@ pub(super) fn require_on(axis: &dyn Axis, status: &AxisStatus) -> Result<(), Hal
     Err(Halt::trip(TripKind::Device, detail))
 }
 
-/// Whether to read these axes again until [`ready_by`]: none has an alarm, and one is not ready.
-pub(super) fn awaits_ready(axes: &[AxisStatus]) -> bool {
-    axes.iter().all(|axis| axis.alarm.is_none()) && axes.iter().any(|axis| !axis.ready)
-}
-
-/// When drives that are at rest now must have reported that they are ready.
-pub(super) fn ready_by(clock: &Clock) -> Instant {
-    clock.now() + clock.wall(READY_WITHIN_S)
+/// Reads axes that are at rest; again for a moment, as long as none has an alarm and one is not ready: it may have
+/// arrived just now.
+pub(super) async fn read_ready<A: AsRef<[AxisStatus]>, F: Future<Output = Result<A, RigError>>>(
+    clock: &Clock,
+    read: impl Fn() -> F,
+) -> Result<A, RigError> {
+    let deadline = clock.now() + clock.wall(READY_WITHIN_S);
+    loop {
+        let statuses = read().await?;
+        let axes = statuses.as_ref();
+        let awaits_ready =
+            axes.iter().all(|axis| axis.alarm.is_none()) && axes.iter().any(|axis| !axis.ready);
+        if !awaits_ready || clock.now() >= deadline {
+            return Ok(statuses);
+        }
+        clock.sleep(POLL_S).await;
+    }
 }

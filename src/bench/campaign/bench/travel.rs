@@ -10,9 +10,7 @@ use futures::future::try_join_all;
 use tokio::time::Instant;
 
 use crate::campaign::bench::interlock::{self, TripKind};
-use crate::campaign::bench::sound::{
-    awaits_ready, ready_by, require_no_alarm, require_on, require_zero,
-};
+use crate::campaign::bench::sound::{read_ready, require_no_alarm, require_on, require_zero};
 use crate::campaign::bench::stage::{AxisName, BEYOND_TRAVEL, Driven, GRACE, Stage};
 use crate::campaign::run::control::Control;
 use crate::campaign::run::halt::Halt;
@@ -217,16 +215,10 @@ impl Stage {
         Ok(longest_s)
     }
 
-    /// Reads axes before they move or home; again, as long as [`awaits_ready`] holds for a moment.
+    /// Reads axes before they move or home.
     async fn read_ready(&self, names: &[AxisName]) -> Result<Vec<AxisStatus>, Halt> {
-        let deadline = ready_by(&self.clock);
-        loop {
-            let read = try_join_all(names.iter().map(|&n| self.driven(n).axis.status())).await?;
-            if !awaits_ready(&read) || self.clock.now() >= deadline {
-                return Ok(read);
-            }
-            self.poll_pause().await;
-        }
+        let read = || try_join_all(names.iter().map(|&n| self.driven(n).axis.status()));
+        Ok(read_ready(&self.clock, read).await?)
     }
 
     /// Checks that an axis is within its travel, or beyond it by no more than this, in its unit.
