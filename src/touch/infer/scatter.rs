@@ -9,15 +9,17 @@
 use serde::{Deserialize, Serialize};
 use sim_core::stats::{frequency, pair_sums, waves};
 
-/// Smallest number of frames.
+/// Smallest number of frames, for a zero that is one of them.
 const LEAST_FRAMES: usize = 5;
+/// Numbers of earlier frames whose mean may be the zero of a frame.
+const MEANS_OF: [usize; 5] = [1, 2, 4, 8, 16];
 /// Weight of equal variances in the spectrum, in squares: with few frames, a wave that was not seen is not absent.
 const EQUAL_SQUARES: f64 = 10.0;
 
 /// Scatter of the offsets of the pairs of electrodes.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Scatter {
-    /// Standard deviation of the change of an offset from one frame to the next, V.
+    /// Standard deviation of the difference of an offset from that of the frame, or the mean of frames, before, V.
     pub sd_v: f64,
     /// Variance by frequency around the electrodes, relative to the mean over all waves; empty without scatter.
     pub spectrum: Vec<f64>,
@@ -27,26 +29,54 @@ impl Scatter {
     /// Of frames of the untouched skin in the order of time, V; `None` with too few frames, or of different
     /// lengths. A frame with a value that is not finite is skipped.
     pub fn of(frames: &[&[f32]]) -> Option<Self> {
-        let is_finite = |frame: &&[f32]| frame.iter().all(|volts| volts.is_finite());
-        let frames: Vec<&[f32]> = frames.iter().copied().filter(is_finite).collect();
-        let first = frames.first().filter(|_| frames.len() >= LEAST_FRAMES)?;
-        if frames.iter().any(|frame| frame.len() != first.len()) {
-            return None;
-        }
-        let waves = waves(first.len().isqrt().max(1));
+        Self::from_means(&offsets(frames)?, 1)
+    }
+
+    /// The number of frames whose mean is closest to the next frame, with the scatter of that difference: the mean of
+    /// more frames has less noise, and is older. As [`Self::of`].
+    pub fn of_best_means(frames: &[&[f32]]) -> Option<(usize, Self)> {
+        let offsets = offsets(frames)?;
+        let of = |count: usize| Some((count, Self::from_means(&offsets, count)?));
+        MEANS_OF.into_iter().filter_map(of).min_by(|a, b| a.1.sd_v.total_cmp(&b.1.sd_v))
+    }
+
+    /// Of the differences of offsets, V, from the means of so many frames before them.
+    fn from_means(offsets: &[Vec<f64>], count: usize) -> Option<Self> {
+        let pairs = offsets.first().filter(|_| offsets.len() >= LEAST_FRAMES * count)?.len();
+        let changes = (offsets.len() - count) as f64;
+        let waves = waves(pairs);
         let mut sums_v2 = vec![0.0; waves.len()];
-        for (before, after) in frames.iter().zip(&frames[1..]) {
-            let change_v: Vec<f64> =
-                before.iter().zip(*after).map(|(a, b)| f64::from(b - a)).collect();
-            let change_v = of_pairs(&change_v);
+        for frames in offsets.windows(count + 1) {
+            let (after, before) = (&frames[count], mean(&frames[..count]));
             for (sum_v2, wave) in sums_v2.iter_mut().zip(&waves) {
-                *sum_v2 += wave.iter().zip(&change_v).map(|(w, v)| w * v).sum::<f64>().powi(2);
+                let change_v = wave.iter().zip(after.iter().zip(&before));
+                *sum_v2 += change_v.map(|(w, (a, b))| w * (a - b)).sum::<f64>().powi(2);
             }
         }
-        let changes = (frames.len() - 1) as f64;
         let mean_v2 = sums_v2.iter().sum::<f64>() / (changes * waves.len() as f64);
         Some(Self { sd_v: mean_v2.sqrt(), spectrum: spectrum(&sums_v2, changes, mean_v2) })
     }
+}
+
+/// Offsets of the pairs in each frame, V; `None` if lengths differ.
+fn offsets(frames: &[&[f32]]) -> Option<Vec<Vec<f64>>> {
+    let is_finite = |frame: &&&[f32]| frame.iter().all(|volts| volts.is_finite());
+    let frames: Vec<&[f32]> = frames.iter().filter(is_finite).copied().collect();
+    let channels = frames.first()?.len();
+    let of = |frame: &&[f32]| {
+        let frame_v: Vec<f64> = frame.iter().copied().map(f64::from).collect();
+        (frame.len() == channels).then(|| of_pairs(&frame_v))
+    };
+    frames.iter().map(of).collect()
+}
+
+/// Mean of offsets, V.
+pub(super) fn mean(offsets: &[Vec<f64>]) -> Vec<f64> {
+    let mut mean = vec![0.0; offsets.first().map_or(0, Vec::len)];
+    for frame in offsets {
+        mean.iter_mut().zip(frame).for_each(|(m, v)| *m += v / offsets.len() as f64);
+    }
+    mean
 }
 
 /// Mean of each pair of electrodes over the injections, V.
@@ -111,6 +141,24 @@ mod tests {
         }
         let equal = scatter(&frames(300, false)).unwrap().spectrum;
         assert!(equal.iter().all(|share| (share - 1.0).abs() < 0.3), "{equal:?}");
+    }
+
+    #[test]
+    fn the_mean_of_many_frames_is_the_zero_of_offsets_that_do_not_drift() {
+        let best = |frames: &[Vec<f32>]| {
+            Scatter::of_best_means(&frames.iter().map(Vec::as_slice).collect::<Vec<_>>()).unwrap()
+        };
+        let still = frames(300, false);
+        let (count, Scatter { sd_v, .. }) = best(&still);
+        assert_eq!(count, 16);
+        assert!((1e3 * sd_v - (1.0 + 1.0 / 16.0f64).sqrt()).abs() < 0.03, "{sd_v}");
+        assert_eq!(best(&still[..20]).0, 4, "of few frames few are a mean");
+        let mut walks = still;
+        for i in 1..walks.len() {
+            let (earlier, later) = walks.split_at_mut(i);
+            later[0].iter_mut().zip(&earlier[i - 1]).for_each(|(v, before)| *v += before);
+        }
+        assert_eq!(best(&walks).0, 1, "offsets that walk are those of the last frame");
     }
 
     #[test]

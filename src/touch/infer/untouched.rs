@@ -5,7 +5,7 @@
 use std::collections::HashMap;
 use std::collections::hash_map::Entry;
 
-use super::scatter::Scatter;
+use super::scatter::{Scatter, mean, of_pairs};
 use super::untouched_frame::UntouchedBefore;
 use crate::dataset::pressed::clock_rate;
 use crate::ids::{RunUid, TrialId};
@@ -14,6 +14,8 @@ use crate::store::{BeforeTrial, Store, StoreError};
 
 /// Largest number of untouched frames from which the scatter of a run's offsets is estimated.
 const SCATTER_OF: u32 = 300;
+/// Largest age of a frame in the mean, process h: after a pause offsets have drifted.
+const MEAN_WITHIN_HOURS: f64 = 1.0;
 
 /// Frames of the untouched skin before trials of any runs.
 #[derive(Debug, Default)]
@@ -29,31 +31,92 @@ pub struct Tared {
     clock_rate: f64,
     /// What the offsets differ by between two frames of the untouched skin.
     scatter: Option<Scatter>,
+    means: Option<Means>,
+}
+
+/// The zero as the mean of several frames of the untouched skin.
+#[derive(Debug, Clone)]
+struct Means {
+    /// Number of frames whose mean is closest to the next one.
+    count: usize,
+    /// What the offsets of the next frame differ by from that mean.
+    scatter: Scatter,
+    /// Wall time, ms, and offsets of the pairs, V, of all frames of the run, oldest first.
+    frames: Vec<(i64, Vec<f64>)>,
 }
 
 impl Tared {
-    /// Reads what is known of a run.
+    /// Reads what is known of a run whose zero is one frame.
     ///
     /// # Errors
     /// `StoreError` if the store fails or a frame is damaged.
     pub async fn of_run(store: &Store, run: RunUid) -> Result<Self, StoreError> {
+        Self::read(store, run, SCATTER_OF).await.map(|(tared, _)| tared)
+    }
+
+    /// Reads what is known of a run whose zero is the mean of several frames.
+    async fn with_means(store: &Store, run: RunUid) -> Result<Self, StoreError> {
+        let (tared, frames) = Self::read(store, run, u32::MAX).await?;
+        let Some((count, scatter)) = Scatter::of_best_means(&first(&frames)) else {
+            return Ok(tared);
+        };
+        let of = |skin: &Untouched| (skin.at.as_millisecond(), pairs_of(skin));
+        let means = Means { count, scatter, frames: frames.iter().map(of).collect() };
+        Ok(Self { means: Some(means), ..tared })
+    }
+
+    async fn read(
+        store: &Store,
+        run: RunUid,
+        most: u32,
+    ) -> Result<(Self, Vec<Untouched>), StoreError> {
         let rig = store.run(run).await?.and_then(|row| row.rig);
-        let frames = store.untouched_frames(run, SCATTER_OF).await?;
-        let frames: Vec<&[f32]> = frames.iter().map(|skin| skin.voltages_v.as_slice()).collect();
+        let frames = store.untouched_frames(run, most).await?;
         let clock_rate = rig.as_deref().map_or(1.0, clock_rate);
-        Ok(Self { clock_rate, scatter: Scatter::of(&frames) })
+        Ok((Self { clock_rate, scatter: Scatter::of(&first(&frames)), means: None }, frames))
     }
 
     /// The untouched skin before frames that are `wall_s` younger.
     pub fn before(&self, skin: &Untouched, wall_s: f64) -> UntouchedBefore {
-        let hours = (self.clock_rate * wall_s / 3600.0).max(0.0);
-        UntouchedBefore {
+        let one = UntouchedBefore {
             voltages_v: skin.voltages_v.clone(),
             frames: skin.frames.max(1) as f64,
-            hours,
+            hours: self.hours(wall_s),
             scatter: self.scatter.clone(),
+        };
+        let Some(Means { count, scatter, frames }) = &self.means else { return one };
+        let at_ms = skin.at.as_millisecond();
+        let Some(own) = frames.iter().rposition(|(at, _)| *at == at_ms) else { return one };
+        let is_recent = |(at, _): &&(i64, Vec<f64>)| {
+            self.hours(1e-3 * at_ms.abs_diff(*at) as f64) < MEAN_WITHIN_HOURS
+        };
+        let last = frames[..=own].iter().rev().take(*count).take_while(is_recent);
+        let offsets: Vec<Vec<f64>> = last.map(|(_, offsets)| offsets.clone()).collect();
+        let better_v: Vec<f64> =
+            mean(&offsets).iter().zip(pairs_of(skin)).map(|(mean, own)| mean - own).collect();
+        let moved = skin.voltages_v.iter().zip(better_v.iter().cycle());
+        UntouchedBefore {
+            voltages_v: moved.map(|(v, by)| (f64::from(*v) + by) as f32).collect(),
+            frames: one.frames * offsets.len() as f64,
+            scatter: if offsets.len() == *count { Some(scatter.clone()) } else { one.scatter },
+            hours: one.hours,
         }
     }
+
+    /// Process hours in a wall time.
+    fn hours(&self, wall_s: f64) -> f64 {
+        (self.clock_rate * wall_s / 3600.0).max(0.0)
+    }
+}
+
+/// The frames from which scatter is estimated, V.
+fn first(frames: &[Untouched]) -> Vec<&[f32]> {
+    frames.iter().take(SCATTER_OF as usize).map(|skin| skin.voltages_v.as_slice()).collect()
+}
+
+/// Offsets of the pairs of electrodes in a frame, V.
+fn pairs_of(skin: &Untouched) -> Vec<f64> {
+    of_pairs(&skin.voltages_v.iter().copied().map(f64::from).collect::<Vec<_>>())
 }
 
 impl UntouchedSkins {
@@ -66,16 +129,58 @@ impl UntouchedSkins {
         let mut runs = HashMap::new();
         for run in before.values().filter_map(|before| before.skin.run) {
             if let Entry::Vacant(unread) = runs.entry(run) {
-                unread.insert(Tared::of_run(store, run).await?);
+                unread.insert(Tared::with_means(store, run).await?);
             }
         }
         Ok(Self { before, runs })
     }
 
-    /// The one before a trial; `None` if none was measured in its run.
+    /// The frame before a trial alone, V; none if none was measured in its run.
+    pub fn last_v(&self, trial: TrialId) -> Option<&[f32]> {
+        self.before.get(&trial).map(|before| before.skin.voltages_v.as_slice())
+    }
+
+    /// The one before a trial, with the mean offsets of those before it that were measured in its run; `None` if none was.
     pub fn of(&self, trial: TrialId) -> Option<UntouchedBefore> {
         let BeforeTrial { skin, trial_started_at } = self.before.get(&trial)?;
         let run = self.runs.get(&skin.run?)?;
         Some(run.before(skin, trial_started_at.duration_since(skin.at).as_secs_f64()))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A frame of two pairs after so many minutes.
+    fn skin(minutes: i64, offset_v: f32, of_channel_v: f32) -> Untouched {
+        let voltages_v = vec![offset_v + of_channel_v, 0.0, offset_v - of_channel_v, 0.0];
+        let at = format!("2026-11-28T{:02}:{:02}:00Z", minutes / 60, minutes % 60);
+        Untouched { voltages_v, at: at.parse().unwrap(), frames: 4, run: None }
+    }
+
+    #[test]
+    fn the_zero_is_the_mean_of_the_last_recent_frames_of_the_run() {
+        let of = |sd_v: f64| Scatter { sd_v, spectrum: Vec::new() };
+        let skins =
+            [(0, 8.0), (70, 1.0), (71, 3.0), (72, 2.0), (73, 9.0)].map(|(at, v)| skin(at, v, 0.5));
+        let frames = skins.iter().map(|s| (s.at.as_millisecond(), pairs_of(s))).collect();
+        let tared = Tared {
+            clock_rate: 1.0,
+            scatter: Some(of(1.0)),
+            means: Some(Means { count: 3, scatter: of(0.5), frames }),
+        };
+        let zero = tared.before(&skins[3], 36.0);
+        assert_eq!(
+            zero.voltages_v,
+            [2.5, 0.0, 1.5, 0.0],
+            "the mean offset, and the rest of the last frame"
+        );
+        assert_eq!((zero.frames, zero.hours, zero.scatter), (12.0, 0.01, Some(of(0.5))));
+        // The frame of 70 minutes before has drifted; the scatter of a mean of three does not hold for two.
+        let zero = tared.before(&skins[2], 0.0);
+        assert_eq!((zero.voltages_v[0], zero.frames, zero.scatter), (2.5, 8.0, Some(of(1.0))));
+        let alone = Tared { means: None, ..tared };
+        assert_eq!(alone.before(&skins[3], 0.0).voltages_v, skins[3].voltages_v);
     }
 }

@@ -100,7 +100,7 @@ pub(super) async fn known_trials(
     for trial in untouched {
         let Some(frame_v) = complete(trial.voltages_v, channels) else { continue };
         frames_v.push(frame_v);
-        tared_v.push(skins.of(trial.trial_id).map_or_else(Vec::new, |skin| skin.voltages_v));
+        tared_v.push(skins.last_v(trial.trial_id).map_or_else(Vec::new, <[f32]>::to_vec));
     }
     let untouched = Untouched { frames_v, tared_v, averaged, hours };
     Ok(KnownTrials { pressed, crowded, untouched })
