@@ -163,7 +163,7 @@ mod tests {
     fn the_zero_is_the_mean_of_the_last_recent_frames_of_the_run() {
         let of = |sd_v: f64| Scatter { sd_v, spectrum: Vec::new() };
         let skins =
-            [(0, 8.0), (70, 1.0), (71, 3.0), (72, 2.0), (73, 9.0)].map(|(at, v)| skin(at, v, 0.5));
+            [(0, 8.0), (70, 1.0), (71, 3.0), (72, 5.0), (73, 9.0)].map(|(at, v)| skin(at, v, 0.5));
         let frames = skins.iter().map(|s| (s.at.as_millisecond(), pairs_of(s))).collect();
         let tared = Tared {
             clock_rate: 1.0,
@@ -173,7 +173,7 @@ mod tests {
         let zero = tared.before(&skins[3], 36.0);
         assert_eq!(
             zero.voltages_v,
-            [2.5, 0.0, 1.5, 0.0],
+            [3.5, 0.0, 2.5, 0.0],
             "the mean offset, and the rest of the last frame"
         );
         assert_eq!((zero.frames, zero.hours, zero.scatter), (12.0, 0.01, Some(of(0.5))));
