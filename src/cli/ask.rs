@@ -22,8 +22,8 @@ use crate::ids::RunUid;
 use crate::state::PausedWhy;
 use crate::store::{ActionRow, RunRow};
 
-/// Newest actions among which the request of a latched e-stop is searched.
-const NEWEST_ACTIONS: usize = 100;
+/// Number of newest actions among which the request of a latched e-stop is searched.
+const ESTOP_AMONG_ACTIONS: usize = 100;
 
 /// Options of a request to the active run.
 #[derive(Debug, Clone, Args)]
@@ -262,7 +262,7 @@ async fn abort_motion(args: &ActArgs) -> CliResult<()> {
 /// if the log of actions is not available.
 async fn estop_words(client: &Client, status: &StatusView) -> Option<String> {
     status.rig.trip.as_ref().filter(|trip| trip.kind == TripKind::Estop)?;
-    let newest = client.first::<ActionRow>("/api/v1/actions?", NEWEST_ACTIONS).await;
+    let newest = client.first::<ActionRow>("/api/v1/actions?", ESTOP_AMONG_ACTIONS).await;
     let is_stop = |action: &&ActionRow| action.accepted && action.action == "estop";
     newest.ok()?.0.iter().find(is_stop).map(requested_words)
 }

@@ -27,8 +27,8 @@ use crate::api::{ServeError, ServeOptions, Service, Tls};
 use crate::conductor::AutoResume;
 use crate::state::StoredState;
 
-/// Longest wait for the status of a service that has the port of another one.
-const HOLDER_WAIT: Duration = Duration::from_secs(2);
+/// Longest wait for the status of a service that has the port of another one, after it answered a probe.
+const HOLDER_WAIT: Duration = Duration::from_secs(5);
 
 /// Options of `serve`.
 #[derive(Debug, Clone, Args)]
@@ -162,8 +162,8 @@ async fn serve_rig(
             // A manual run moves nothing; of a paused one the tips are up, or an e-stop holds them.
             let raises = !run.is_manual && run.state != StoredState::Paused;
             let words = ending_words(run.scan_id, raises, asked);
-            // A terminal that takes no text must not delay the end.
-            std::thread::spawn(move || note(words));
+            // Neither a terminal that takes no text nor a system without threads must delay the end.
+            let _ = std::thread::Builder::new().spawn(move || note(words));
         }
     }
     service.shutdown().await;
