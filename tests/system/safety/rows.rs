@@ -8,6 +8,7 @@ use palpate::campaign::bench::interlock::TripKind;
 use palpate::campaign::bench::rig_state::RigState;
 use palpate::campaign::shown::command::Request;
 use palpate::campaign::shown::safe_end::Tips;
+use palpate::campaign::shown::status::Status;
 use serde_json::json;
 use virtual_rig::run::RigArgs;
 
@@ -144,7 +145,11 @@ async fn a_drive_that_switches_its_motor_off_ends_the_press_and_waits_for_a_pers
         harness.journal.set(Mood::Hangs);
         harness.until("a commit", committing).await;
         tokio::time::sleep(Duration::from_millis(50)).await;
-        harness.until("a commit that waits", committing).await;
+        let waits = |status: &Status| {
+            let stored = status.run.as_ref().map(|run| run.trials_stored);
+            committing(status) && stored == Some(harness.taken_trials())
+        };
+        harness.until("a commit that waits", waits).await;
         let held = harness.truth().await;
         assert_eq!(held["pressing"], true, "{held:#}");
         let measured = harness.taken_trials() + 1;
