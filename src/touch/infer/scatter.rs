@@ -40,7 +40,7 @@ impl Scatter {
         MEANS_OF.into_iter().filter_map(of).min_by(|a, b| a.1.sd_v.total_cmp(&b.1.sd_v))
     }
 
-    /// Of the differences of offsets, V, from the means of so many frames before them.
+    /// Of the differences of offsets, V, from the mean of `count` frames before each.
     fn from_means(offsets: &[Vec<f64>], count: usize) -> Option<Self> {
         let pairs = offsets.first().filter(|_| offsets.len() >= LEAST_FRAMES * count)?.len();
         let changes = (offsets.len() - count) as f64;

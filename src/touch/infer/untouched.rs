@@ -152,7 +152,7 @@ impl UntouchedSkins {
 mod tests {
     use super::*;
 
-    /// A frame of two pairs after so many minutes.
+    /// A frame of two pairs after these minutes.
     fn skin(minutes: i64, offset_v: f32, of_channel_v: f32) -> Untouched {
         let voltages_v = vec![offset_v + of_channel_v, 0.0, offset_v - of_channel_v, 0.0];
         let at = format!("2026-11-28T{:02}:{:02}:00Z", minutes / 60, minutes % 60);
