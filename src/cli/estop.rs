@@ -106,9 +106,7 @@ impl Stopped {
         let axes = match self.acknowledged_ms {
             Some(ms) if self.stands => format!("every axis had acknowledged after {ms:.1} ms"),
             Some(ms) if self.missing.is_empty() => {
-                format!(
-                    "every axis had acknowledged after {ms:.1} ms, and is not known to stand yet"
-                )
+                format!("every axis had acknowledged after {ms:.1} ms, and may still move")
             }
             None if !self.has_stage => "a skin alone has no axis to stop".into(),
             None if self.missing.is_empty() => "no acknowledgement of the axes yet".into(),

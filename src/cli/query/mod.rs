@@ -130,7 +130,7 @@ async fn tables(client: &Client, output: Output) -> CliResult<()> {
         let about = text(table, "about");
         shown.push([text(table, "name"), about.trim_start_matches("a row: ").to_owned()]);
     }
-    let advice = "Names with a hyphen stand in double quotes: palpate query 'SELECT * FROM \"run-1\" LIMIT 5'";
+    let advice = "Write a name with a hyphen in double quotes: palpate query 'SELECT * FROM \"run-1\" LIMIT 5'";
     output.say(&tables, format_args!("{shown}\n{advice}"));
     Ok(())
 }

@@ -303,7 +303,7 @@ pub(in crate::campaign) async fn stands(axis: &dyn Axis) -> Result<(), String> {
     loop {
         let now = match axis.status().await {
             Ok(now) => now,
-            Err(error) => return Err(format!("acknowledged, and not known to stand: {error}")),
+            Err(error) => return Err(format!("acknowledged, and may still move: {error}")),
         };
         if readings.show_rest(&now, STAND_PAUSE) {
             return Ok(());

@@ -169,7 +169,7 @@ impl Engine {
                     format!("{axis} has not acknowledged its stop: {why}")
                 }
                 Some(AxisStop { axis, error, .. }) => {
-                    let why = error.as_deref().unwrap_or("acknowledged, and not known to stand");
+                    let why = error.as_deref().unwrap_or("acknowledged, and may still move");
                     format!("{axis} is not stopped: {why}")
                 }
             };
