@@ -129,3 +129,19 @@ pub async fn estop(args: &ActArgs) -> CliResult<()> {
     args.at.output().say(&answer, stopped.words());
     Ok(())
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_result_states_whether_the_axes_may_still_move() {
+        let words = |stands| {
+            let (latched, acknowledged_ms, missing) = (Value::Null, Some(2.0), Vec::new());
+            Stopped { latched, acknowledged_ms, missing, stands, has_stage: true }.words()
+        };
+        let acknowledged = "stopped and latched; every axis had acknowledged after 2.0 ms";
+        assert!(words(true).starts_with(&format!("{acknowledged}. ")));
+        assert!(words(false).starts_with(&format!("{acknowledged}, and may still move. ")));
+    }
+}
