@@ -66,7 +66,8 @@ pub struct Changes {
     /// Quantity that it answers: position, pattern, count or force [default: the recipe's].
     #[arg(long, value_name = "QUANTITY", value_parser = quantities())]
     pub answers: Option<Quantity>,
-    /// Pixel and diameter of the force maps, mm [default: the recipe's].
+    /// Pixel and diameter of the force maps, mm; those of a carried recipe are scaled to the skin [default: the
+    /// recipe's].
     #[arg(long, value_name = "4x20")]
     pub map: Option<String>,
     /// Seed of the first weights, the order of samples and the noise [default: the recipe's].
