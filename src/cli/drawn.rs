@@ -1,7 +1,7 @@
 //! An error as people read it: a value in a file with its line under a caret, everything else as a sentence;
 //! and the same error as JSON for scripts.
-//! Uses: annotate-snippets, clap, `carried`, `locate`, `near`, `output`. Never: standard output; a text that controls the
-//! terminal.
+//! Uses: annotate-snippets, clap, `carried`, `locate`, `near`, `output`. Never: standard output; a text that controls
+//! the terminal.
 
 use std::io::{self, IsTerminal, Read};
 
