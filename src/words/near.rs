@@ -37,7 +37,7 @@ mod tests {
         assert_eq!(nearest("Depth_Step", names), Some("depth_step_mm"));
         assert_eq!(nearest("colour", names), None);
         assert_eq!(nearest("rgi", ["gap", "rig"]), Some("rig"));
-        assert_eq!(nearest("rag", ["gap", "rig"]), None);
+        assert_eq!(nearest("gpr", ["gap", "rig"]), None);
         assert_eq!(nearest("x", []), None);
         assert_eq!(did_you_mean("tip", names), "; did you mean `tips`?");
     }
