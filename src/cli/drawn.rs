@@ -1,7 +1,7 @@
 //! An error as people read it: a value in a file with its line under a caret, everything else as a sentence;
 //! and the same error as JSON for scripts.
-//! Uses: annotate-snippets, clap, `carried`, `locate`, `output`. Never: standard output; a text that controls the
-//! terminal.
+//! Uses: annotate-snippets, clap, `carried`, `locate`, `near`, `output`. Never: standard output; a text that controls
+//! the terminal.
 
 use std::io::{self, IsTerminal, Read};
 
@@ -15,6 +15,7 @@ use super::error::CliError;
 use super::output::{Output, error_width, no_color, note_drawn, shown, wrapped};
 use crate::carried::{self, EXPERIMENTS};
 use crate::locate::locate;
+use crate::near::nearest;
 use crate::plain::{escaped, in_plain_words};
 use crate::problem::{Place, Problem};
 
@@ -72,8 +73,12 @@ fn in_our_words(error: &clap::Error, text: String) -> String {
     }
 }
 
-/// The text of an error; of an unknown command with those that were probably meant, if the parser cannot know them.
+/// The text of an error; of an unknown command or option with those that were probably meant, if the parser cannot know
+/// them.
 fn with_tip(error: &clap::Error, text: String) -> String {
+    if let Some(option) = option_meant(error) {
+        return in_place_of_tips(error, &text, &option);
+    }
     let unknown = match error.get(ContextKind::InvalidSubcommand) {
         Some(ContextValue::String(word)) if error.kind() == ErrorKind::InvalidSubcommand => word,
         _ => return text,
@@ -82,6 +87,36 @@ fn with_tip(error: &clap::Error, text: String) -> String {
     let is_followed = error.get(ContextKind::SuggestedSubcommand).is_some();
     let end = if is_followed { "\n" } else { "\n\n" };
     text.replacen("\n\n", &format!("\n\n  tip: did you mean {meant}?{end}"), 1)
+}
+
+/// The text of an error with a proposal in place of the parser's: to pass the option as a value.
+fn in_place_of_tips(error: &clap::Error, text: &str, option: &str) -> String {
+    let (first, mut rest) = text.split_once("\n\n").unwrap_or((text, ""));
+    if error.get(ContextKind::Suggested).is_some() {
+        rest = rest.split_once("\n\n").map_or(rest, |(_, rest)| rest);
+    }
+    format!("{first}\n\n  tip: did you mean '--{option}'?\n\n{rest}")
+}
+
+/// Option that was probably meant by one that the command of the error does not have, if the parser proposes none: its
+/// measure does not find two swapped letters of three.
+fn option_meant(error: &clap::Error) -> Option<String> {
+    let is_open = error.kind() == ErrorKind::UnknownArgument
+        && error.get(ContextKind::SuggestedArg).is_none();
+    let (Some(ContextValue::String(typed)), Some(ContextValue::StyledStr(usage))) =
+        (error.get(ContextKind::InvalidArg), error.get(ContextKind::Usage))
+    else {
+        return None;
+    };
+    let typed = typed.strip_prefix("--").filter(|_| is_open)?;
+    let mut command = &Command::augment_subcommands(clap::Command::new("palpate"));
+    // `Usage: palpate COMMAND ..`
+    for word in usage.to_string().split_whitespace().skip(2) {
+        let Some(inner) = command.find_subcommand(word) else { break };
+        command = inner;
+    }
+    let options = command.get_arguments().filter(|option| !option.is_hide_set());
+    nearest(typed, options.filter_map(clap::Arg::get_long)).map(str::to_owned)
 }
 
 /// Commands that were probably meant by a word that is none: `run` of a carried experiment, and the groups of commands
@@ -251,14 +286,30 @@ mod tests {
         assert!(drawn.contains(r"\u{1b}[31m") && !drawn.contains('\u{1b}'), "{drawn}");
     }
 
+    /// The answer to a command line that is none.
+    fn answer(line: &str) -> String {
+        let all = Command::augment_subcommands(clap::Command::new("palpate"));
+        let words = format!("palpate {line}");
+        let error = all.try_get_matches_from(words.split_whitespace()).unwrap_err();
+        let text = error.render().to_string();
+        in_our_words(&error, text)
+    }
+
+    #[test]
+    fn an_unknown_option_is_answered_with_the_one_that_was_meant() {
+        for line in ["run quickstart --rgi x", "plan quickstart --rgi x", "serve --rgi=x"] {
+            let words = answer(line);
+            let first = "error: unexpected argument '--rgi' found\n\n  tip: did you mean '--rig'?\n\nUsage: ";
+            assert!(words.starts_with(first), "{line}: {words}");
+        }
+        let words = answer("run quickstart --spede 2");
+        assert!(words.contains("a similar argument exists: '--speed'"), "{words}");
+        assert!(!words.contains("did you mean"), "{words}");
+        assert!(!answer("plan quickstart --xyzzy").contains("did you mean"));
+    }
+
     #[test]
     fn an_unknown_command_is_answered_with_the_one_that_was_meant() {
-        let answer = |word: &str| {
-            let all = Command::augment_subcommands(clap::Command::new("palpate"));
-            let error = all.try_get_matches_from(["palpate", word]).unwrap_err();
-            let text = error.render().to_string();
-            in_our_words(&error, text)
-        };
         for (word, meant) in [
             ("quickstart", "`palpate run quickstart`"),
             ("jog", "`palpate rig jog`"),

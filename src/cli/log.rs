@@ -1,6 +1,6 @@
 //! The log of a process: its level, its format, and a writer for which nothing waits.
-//! Uses: tracing-subscriber, tracing-appender, standard error. Never: a wait of the thread that logs, also if standard
-//! error is a pipe that nothing reads: the campaign logs, too.
+//! Uses: tracing-subscriber, tracing-appender, `journal`, standard error. Never: a wait of the thread that logs, also if
+//! standard error is a pipe that nothing reads: the campaign logs, too.
 
 use std::io::{self, IsTerminal, Write};
 use std::path::{Path, PathBuf};
@@ -11,12 +11,13 @@ use std::time::{Duration, Instant};
 
 use clap::Args;
 use parking_lot::Mutex;
-use tracing::Dispatch;
+use tracing::{Dispatch, Metadata};
 use tracing_appender::rolling::{RollingFileAppender, Rotation};
 use tracing_subscriber::filter::{LevelFilter, Targets};
 use tracing_subscriber::fmt::MakeWriter;
 use tracing_subscriber::layer::SubscriberExt;
 
+use super::journal::{is_stream, priority};
 use super::output::no_color;
 use crate::plain::escaped;
 
@@ -106,6 +107,8 @@ pub fn start(args: &LogArgs) -> Option<Log> {
         Err(error) => (None, Some(error)),
     };
     let colours = file.is_none() && io::stderr().is_terminal() && !no_color();
+    let is_journal = file.is_none()
+        && from_env("JOURNAL_STREAM").is_some_and(|stream| is_stream(&stream, io::stderr()));
     let format = match named.as_str() {
         "json" => Format::Json,
         _ => Format::Text,
@@ -113,7 +116,7 @@ pub fn start(args: &LogArgs) -> Option<Log> {
     let (lines, inbox) = sync_channel(WAITING_LINES);
     let (done, written) = sync_channel(1);
     let lost = Arc::<AtomicU64>::default();
-    let queue = Queue { lines: lines.clone(), lost: lost.clone() };
+    let queue = Queue { lines: lines.clone(), lost: lost.clone(), priority: "" };
     let writing = move || {
         write_all(&inbox, &lost, file);
         let _ = done.send(());
@@ -121,7 +124,7 @@ pub fn start(args: &LogArgs) -> Option<Log> {
     std::thread::Builder::new().name("log".into()).spawn(writing).ok()?;
     let invalid_level = filter.as_ref().err().cloned();
     let filter = filter.unwrap_or_else(|_| default());
-    let log = dispatch(format, filter, colours, move || queue.clone());
+    let log = dispatch(format, filter, colours, Queues { queue, is_journal });
     // A log that was set before stays.
     let _ = tracing::dispatcher::set_global_default(log);
     // The default hook writes to standard error itself, before the safe end: a full pipe would stop it.
@@ -234,12 +237,15 @@ fn safe(line: &[u8]) -> String {
 struct Queue {
     lines: SyncSender<Item>,
     lost: Arc<AtomicU64>,
+    /// What the lines begin with.
+    priority: &'static str,
 }
 
 impl Write for Queue {
     /// Takes a whole line, as the subscriber writes it.
     fn write(&mut self, line: &[u8]) -> io::Result<usize> {
-        if self.lines.try_send(Item::Line(line.to_vec())).is_err() {
+        let whole = [self.priority.as_bytes(), line].concat();
+        if self.lines.try_send(Item::Line(whole)).is_err() {
             self.lost.fetch_add(1, Ordering::Relaxed);
         }
         Ok(line.len())
@@ -247,6 +253,26 @@ impl Write for Queue {
 
     fn flush(&mut self) -> io::Result<()> {
         Ok(())
+    }
+}
+
+/// Makes the writer of each line, which in the journal begins with the priority of its level.
+#[derive(Debug)]
+struct Queues {
+    queue: Queue,
+    is_journal: bool,
+}
+
+impl<'w> MakeWriter<'w> for Queues {
+    type Writer = Queue;
+
+    fn make_writer(&'w self) -> Queue {
+        self.queue.clone()
+    }
+
+    fn make_writer_for(&'w self, line: &Metadata<'_>) -> Queue {
+        let priority = if self.is_journal { priority(*line.level()) } else { "" };
+        Queue { priority, ..self.queue.clone() }
     }
 }
 
@@ -372,6 +398,31 @@ mod tests {
         for field in [&*format!("run={RUN}"), "scan_id=12", "configuration=4", "depth_index=2"] {
             assert!(line.contains(field), "{line}");
         }
+    }
+
+    #[test]
+    fn a_line_in_the_journal_begins_with_the_priority_of_its_level() {
+        let priorities = |is_journal| {
+            let (lines, written) = sync_channel(8);
+            let queue = Queue { lines, lost: Arc::default(), priority: "" };
+            let filter = Targets::new().with_default(LevelFilter::TRACE);
+            let log = dispatch(Format::Text, filter, false, Queues { queue, is_journal });
+            tracing::dispatcher::with_default(&log, || {
+                tracing::error!("3");
+                tracing::warn!("4");
+                tracing::info!("6");
+                tracing::debug!("7");
+                tracing::trace!("7");
+            });
+            let lines = written.try_iter().map(|item| match item {
+                Item::Line(line) => String::from_utf8_lossy(&line[..3]).into_owned(),
+                Item::End => String::new(),
+            });
+            lines.collect::<Vec<_>>()
+        };
+        assert_eq!(priorities(true), ["<3>", "<4>", "<6>", "<7>", "<7>"]);
+        let without = priorities(false);
+        assert!(without.len() == 5 && without.iter().all(|line| !line.starts_with('<')));
     }
 
     /// The log of a test belongs to its thread: another thread is asked for its span only.

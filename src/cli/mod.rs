@@ -42,6 +42,7 @@ mod infer;
 mod init;
 mod job;
 mod job_losses;
+mod journal;
 mod key;
 mod leave;
 pub mod log;

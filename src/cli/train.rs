@@ -66,7 +66,8 @@ pub struct Changes {
     /// Quantity that it answers: position, pattern, count or force [default: the recipe's].
     #[arg(long, value_name = "QUANTITY", value_parser = quantities())]
     pub answers: Option<Quantity>,
-    /// Pixel and diameter of the force maps, mm [default: the recipe's].
+    /// Pixel and diameter of the force maps, mm; those of a carried recipe are scaled to the skin [default: the
+    /// recipe's].
     #[arg(long, value_name = "4x20")]
     pub map: Option<String>,
     /// Seed of the first weights, the order of samples and the noise [default: the recipe's].
@@ -182,7 +183,7 @@ pub async fn train(args: TrainArgs) -> CliResult<()> {
     };
     let process = own.as_ref().and_then(OwnServer::process);
     let done = async {
-        let asked = request(&client, &args.recipe, &recipe).await?;
+        let asked = request(&client, &args, &recipe).await?;
         train_on(&client, asked, &args, process, &mut signals).await
     };
     let reported = match done.await {
@@ -196,9 +197,20 @@ pub async fn train(args: TrainArgs) -> CliResult<()> {
     reported
 }
 
-async fn request(client: &Client, named: &str, recipe: &str) -> CliResult<JobOut> {
-    let asked = client.post("/api/v1/trainings", &json!({ "recipe": recipe })).await;
-    asked.map_err(|error| of_file(error, named))
+async fn request(client: &Client, args: &TrainArgs, recipe: &str) -> CliResult<JobOut> {
+    let mut body = json!({ "recipe": recipe });
+    // An earlier version of the service does not know it.
+    if has_default_map(&args.recipe, &args.changes) {
+        body["scale_map"] = true.into();
+    }
+    let asked = client.post("/api/v1/trainings", &body).await;
+    asked.map_err(|error| of_file(error, &args.recipe))
+}
+
+/// Whether the map is that of a carried recipe, and follows the size of the skin: a person states theirs in `--map`
+/// or in a file.
+fn has_default_map(recipe: &str, changes: &Changes) -> bool {
+    changes.map.is_none() && !Path::new(recipe).exists()
 }
 
 /// The error of a service that does not know the name of the recipe.
@@ -354,6 +366,14 @@ fn stopping(state: TaskState) -> &'static str {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn only_the_map_of_a_carried_recipe_follows_the_skin() {
+        let stated = Changes { map: Some("4x20".into()), ..Changes::default() };
+        assert!(has_default_map("end-to-end", &Changes::default()));
+        assert!(!has_default_map("end-to-end", &stated));
+        assert!(!has_default_map("experiments/recipes/end-to-end.toml", &Changes::default()));
+    }
 
     #[test]
     fn a_stop_states_how_the_training_resumes() {

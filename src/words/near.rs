@@ -7,9 +7,17 @@ const SIMILAR: f64 = 0.8;
 /// Returns the name that is most similar to `typed`, if one is similar enough.
 pub fn nearest<'a>(typed: &str, names: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
     let typed = typed.to_lowercase();
-    let scored = names.into_iter().map(|name| (strsim::jaro_winkler(&typed, name), name));
+    let scored = names.into_iter().map(|name| (similarity(&typed, name), name));
     let best = scored.max_by(|a, b| a.0.total_cmp(&b.0))?;
     (best.0 >= SIMILAR).then_some(best.1)
+}
+
+/// Similarity of two names, 0 to 1; at least [`SIMILAR`] if only two neighbouring letters are swapped, which the
+/// measure does not find in names of three letters.
+fn similarity(typed: &str, name: &str) -> f64 {
+    let similarity = strsim::jaro_winkler(typed, name);
+    let is_swap = strsim::osa_distance(typed, name) == 1 && strsim::levenshtein(typed, name) == 2;
+    if is_swap { similarity.max(SIMILAR) } else { similarity }
 }
 
 /// Returns `; did you mean ..?` for the name that is most similar, or nothing.
@@ -28,6 +36,8 @@ mod tests {
         assert_eq!(nearest("depth", names), Some("depths"));
         assert_eq!(nearest("Depth_Step", names), Some("depth_step_mm"));
         assert_eq!(nearest("colour", names), None);
+        assert_eq!(nearest("rgi", ["gap", "rig"]), Some("rig"));
+        assert_eq!(nearest("gpr", ["gap", "rig"]), None);
         assert_eq!(nearest("x", []), None);
         assert_eq!(did_you_mean("tip", names), "; did you mean `tips`?");
     }

@@ -12,18 +12,19 @@ use serde_json::{Value, json};
 
 use crate::bench::{COMPUTES, LIMIT, ONE_TIP, Turn, signal, turn, with_responses};
 
-const POLL: Duration = Duration::from_millis(20);
+/// Interval of polling for something that no line states.
+pub const POLL: Duration = Duration::from_millis(20);
 /// Longest wait for the end of a service that a test leaves.
 const ENDED_WITHIN: Duration = Duration::from_secs(30);
 
 /// A separate data folder, removed at the end with the service that may still use it, and a turn of the machine.
-struct Desk {
+pub struct Desk {
     folder: PathBuf,
     _turn: Turn,
 }
 
 impl Desk {
-    async fn new(name: &str) -> Self {
+    pub async fn new(name: &str) -> Self {
         let turn = turn(COMPUTES).await;
         let folder = std::env::temp_dir().join(format!("palpate-{name}-{}", std::process::id()));
         std::fs::create_dir_all(&folder).unwrap();
@@ -38,13 +39,17 @@ impl Desk {
         self.folder.join("data")
     }
 
-    fn palpate(&self, arguments: &[&str]) -> Started {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_palpate"));
-        command.args(arguments).arg("--json").current_dir(&self.folder);
+    /// A program in its folder, with its data.
+    pub fn command(&self, program: &str) -> Command {
+        let mut command = Command::new(program);
+        command.current_dir(&self.folder).env("PALPATE_DATA", self.data());
+        command.env_remove("PALPATE_URL").env("PALPATE_LOG", "warn");
         command
-            .env("PALPATE_DATA", self.data())
-            .env_remove("PALPATE_URL")
-            .env("PALPATE_LOG", "warn");
+    }
+
+    pub fn palpate(&self, arguments: &[&str]) -> Started {
+        let mut command = self.command(env!("CARGO_BIN_EXE_palpate"));
+        command.args(arguments).arg("--json");
         let mut child =
             command.stdin(Stdio::null()).stdout(Stdio::piped()).spawn().expect("palpate starts");
         let lines = BufReader::new(child.stdout.take().unwrap()).lines();
@@ -85,7 +90,7 @@ impl Drop for Desk {
     }
 }
 
-struct Started {
+pub struct Started {
     child: Child,
     lines: Lines<BufReader<ChildStdout>>,
 }
@@ -109,14 +114,14 @@ impl Started {
     }
 
     /// Its last line and its exit code.
-    fn end(mut self) -> (Value, i32) {
+    pub fn end(mut self) -> (Value, i32) {
         let last = self.lines.by_ref().map(parsed).last().unwrap_or_default();
         (last, self.child.wait().unwrap().code().unwrap())
     }
 }
 
 /// Waits for something that no line states.
-fn until(what: &str, is_so: impl Fn() -> bool) {
+pub fn until(what: &str, is_so: impl Fn() -> bool) {
     let start = Instant::now();
     while !is_so() {
         assert!(start.elapsed() < LIMIT, "{what} does not come");

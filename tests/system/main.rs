@@ -20,3 +20,4 @@ mod rig_contract;
 mod safety;
 mod stop;
 mod take_over;
+mod terminal;

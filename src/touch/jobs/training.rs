@@ -42,6 +42,9 @@ const NOISE: &str = "noise";
 pub struct TrainingRequest {
     /// Text of the recipe file (TOML).
     pub recipe: String,
+    /// Whether the map is scaled from the skin of the paper, 560 mm, to that of the dataset.
+    #[serde(default)]
+    pub scale_map: bool,
 }
 
 /// Runs a training; `None` if it was stopped.
@@ -141,6 +144,9 @@ async fn prepare(
     };
     let skin = ImportedSensor::from_toml("sensor", &sensor)?;
     let skin_mm = skin.width_mm.max(skin.height_mm);
+    if request.scale_map {
+        recipe.map = recipe.map.map(|map| map.on_skin(skin_mm));
+    }
     if let Some(map) = recipe.map.filter(|map| map.side_mm > 2.0 * skin_mm) {
         tracing::warn!(
             %map,

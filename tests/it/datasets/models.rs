@@ -335,6 +335,13 @@ async fn touches_without_forces_are_learned_and_scored_and_no_force_is_made_up()
     let net = lab.trained(&recipe).await;
     let model = lab.get(&format!("/api/v1/models/{net}")).await;
     assert_eq!(model["manifest"]["trained_on"]["forces_unknown"], true);
+    // The map of a carried recipe follows the size of the skin.
+    let carried = RECON_NET.replace("\"real\"", "\"mat\"").replace("\"maps\"", "\"scaled\"");
+    let request = json!({ "recipe": carried, "scale_map": true });
+    let scaled = lab.result("/api/v1/trainings", request).await["model"].clone();
+    let scaled = lab.get(&format!("/api/v1/models/{}", scaled.as_str().unwrap())).await;
+    let recipe = scaled["manifest"]["recipe"].as_str().unwrap();
+    assert!(recipe.contains("map = \"11.6x34.8x371.2\""), "{recipe}");
     let report = lab
         .scored(json!({ "scored": "paper", "dataset": "mat", "part": "test", "map": net }))
         .await;

@@ -1,14 +1,15 @@
-//! Trainings as processes: killed ones fail by their signal and resume when requested again, and none
-//! outlives its service.
+//! Trainings as processes: killed ones fail by their signal and resume when requested again, as those do that Ctrl-C
+//! stopped, and none outlives its service.
 
-use std::process::Command;
+use std::process::{Command, Stdio};
 use std::time::Duration;
 
+use rustix::process::Signal;
 use serde_json::{Value, json};
 
 use super::filled::{Filled, fill, folder, rig};
 use super::models::transfer_net;
-use crate::support::{PALPATE, eventually, http, served};
+use crate::support::{PALPATE, Process, command, eventually, http, served, signal};
 
 /// Longest wait for anything; the trainer may have to be built first.
 const LIMIT: Duration = Duration::from_secs(120);
@@ -51,6 +52,17 @@ impl Filled {
         let job = self.posted("/api/v1/trainings", json!({ "recipe": recipe }), 202).await;
         let id = job["id"].as_str().unwrap().to_owned();
         (job, id)
+    }
+
+    /// Waits for a training after this one; returns its id.
+    async fn newer(&self, than: &str) -> String {
+        let look = async || {
+            // The newest is the first.
+            let jobs = self.get("/api/v1/jobs").await;
+            let id = jobs["items"][0]["id"].as_str().filter(|&id| id != than);
+            id.map(str::to_owned)
+        };
+        eventually("a newer training", LIMIT, look).await
     }
 
     /// The first line of a training's losses.
@@ -117,6 +129,42 @@ async fn the_same_request_resumes_from_the_checkpoint_of_a_killed_or_a_stopped_t
     lab.post(&format!("/api/v1/jobs/{third}/stop"), Value::Null).await;
     let gone = async || trainer(&third).is_none().then_some(());
     eventually("the trainer ends", LIMIT, gone).await;
+    lab.close().await;
+}
+
+/// Presses Ctrl-C at a `palpate train` without a terminal; returns what it printed.
+async fn interrupted(mut train: Process) -> String {
+    signal(&train.0, Signal::INT);
+    let printed = train.0.stderr.take().unwrap();
+    let printed = tokio::task::spawn_blocking(move || std::io::read_to_string(printed));
+    let words = printed.await.unwrap().unwrap();
+    assert_eq!(train.0.wait().unwrap().code(), Some(1), "{words}");
+    words
+}
+
+#[tokio::test]
+async fn ctrl_c_at_train_stops_it_at_a_checkpoint_from_which_the_same_command_resumes() {
+    let lab = Filled::open("training-left").await;
+    let recipe = lab.data.join("endless.toml");
+    std::fs::write(&recipe, transfer_net("endless", 1_000_000)).unwrap();
+    let (recipe, url) = (recipe.display().to_string(), lab.url(""));
+    let train = || {
+        let mut train = command(&["train", &recipe, "--url", &url]);
+        Process(train.stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap())
+    };
+    let left = train();
+    let first = lab.newer("").await;
+    lab.learns(&first, 30).await;
+    let words = interrupted(left).await;
+    assert!(words.contains("stopping at a checkpoint"), "{words}");
+    assert!(words.contains("the same command resumes it from its checkpoint"), "{words}");
+    assert_eq!(lab.get(&format!("/api/v1/jobs/{first}")).await["state"], "stopped");
+
+    let again = train();
+    let second = lab.newer(&first).await;
+    let resumed = lab.learns(&second, 1).await;
+    assert!(resumed >= 30, "{resumed}");
+    interrupted(again).await;
     lab.close().await;
 }
 
