@@ -87,7 +87,8 @@ pub struct Reading {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub probability: Option<f64>,
     /// Other explanations with a probability of at least 0.05 at the last search, the most probable first, at
-    /// most three; only of `exact`.
+    /// most three; only of `exact`, whose contacts have the most probable number: one with another number may be more
+    /// probable.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub alternatives: Vec<Alternative>,
     /// Newtons per pixel, row by row; present if requested: the net's own map, or the contacts of

@@ -19,6 +19,19 @@ pub(super) fn shares(scores: &[f64]) -> Vec<f64> {
     odds.iter().map(|odds| odds / all).collect()
 }
 
+/// Index of the answer: the most probable of the hypotheses with the most probable number of contacts. Two places for
+/// the third contact share the evidence for three. `counts`: number of contacts of each hypothesis; `shares`: most
+/// probable first.
+pub(super) fn answer(counts: &[usize], shares: &[f64]) -> usize {
+    let of_count = |count: usize| -> f64 {
+        counts.iter().zip(shares).filter(|(c, _)| **c == count).map(|(_, share)| share).sum()
+    };
+    let better = |best: usize, at: usize| {
+        if of_count(counts[at]) > of_count(counts[best]) { at } else { best }
+    };
+    (0..counts.len()).reduce(better).unwrap_or(0)
+}
+
 /// The first of these hypotheses with a sufficient share.
 pub(super) fn probable<'h>(
     others: impl Iterator<Item = (&'h Hypothesis, &'h f64)>,
@@ -91,6 +104,14 @@ mod tests {
         assert!((shares[0] - 0.75).abs() < 1e-6 && (shares[1] - 0.25).abs() < 1e-6, "{shares:?}");
         assert!((shares.iter().sum::<f64>() - 1.0).abs() < 1e-12);
         assert!(super::shares(&[]).is_empty());
+    }
+
+    #[test]
+    fn the_answer_has_the_most_probable_number_of_contacts() {
+        assert_eq!(answer(&[2, 3, 3, 2], &[0.4, 0.35, 0.2, 0.05]), 1);
+        assert_eq!(answer(&[2, 3, 3, 4], &[0.5, 0.25, 0.2, 0.05]), 0);
+        assert_eq!(answer(&[3, 2], &[0.5, 0.5]), 0, "the first of equal ones");
+        assert_eq!(answer(&[], &[]), 0);
     }
 
     #[test]

@@ -182,7 +182,8 @@ pub struct Fit {
     /// Share of the evidence of these contacts among all hypotheses of the last search, 0 to 1; absent
     /// without a search, and if the contacts of all its hypotheses collapsed.
     pub probability: Option<f64>,
-    /// What else explains the frame by that search, the most probable first.
+    /// What else explains the frame by that search, the most probable first. One with another number of contacts may be
+    /// more probable than these contacts, which have the most probable number.
     pub alternatives: Vec<Explanation>,
     /// Start of the fit: a search, or the previous contacts.
     pub origin: Origin,

@@ -126,28 +126,35 @@ impl ContactFitter {
         let mut hypotheses = self.search(&starts, work)?;
         hypotheses.truncate(self.options.finalists);
         self.approach(&mut hypotheses, work)?;
+        let scores: Vec<f64> = hypotheses.iter().map(|h| h.score).collect();
+        let mut shares = shares(&scores);
+        let counts: Vec<usize> = hypotheses.iter().map(|h| h.places.len()).collect();
+        let answer = explain::answer(&counts, &shares);
+        if answer > 0 {
+            hypotheses[..=answer].rotate_right(1);
+            shares[..=answer].rotate_right(1);
+        }
         let best = hypotheses.first().map(|h| h.places.clone()).unwrap_or_default();
         let mut fit = self.report(best, observation, self.effort(), work)?;
         fit.origin = Origin::Search;
-        self.explain(&hypotheses, observation, &mut fit, work)?;
+        self.explain(&hypotheses, &shares, observation, &mut fit, work)?;
         Ok(fit)
     }
 
-    /// Adds to the fit of the first hypothesis its probability, and the next probable ones, each finished
+    /// Adds to the fit of the first hypothesis its probability, and the most probable others, each finished
     /// with the exact model. The evidence is compared before that: it has the same effort for all. Without a
     /// hypothesis, since the contacts of each collapsed, nothing states how probable the answer is.
     fn explain(
         &self,
         hypotheses: &[Hypothesis],
+        shares: &[f64],
         observation: &Observation<'_>,
         fit: &mut Fit,
         work: &mut FitWork,
     ) -> ContactResult<()> {
-        let scores: Vec<f64> = hypotheses.iter().map(|h| h.score).collect();
-        let shares = shares(&scores);
         let Some(&best) = shares.first() else { return Ok(()) };
         let mut found = Explanations::of(best, self.options.least_distance_mm);
-        let others = hypotheses.iter().zip(&shares).skip(1);
+        let others = hypotheses.iter().zip(shares).skip(1);
         for (hypothesis, &probability) in explain::probable(others) {
             let other = self.report(hypothesis.places.clone(), observation, self.effort(), work)?;
             fit.exact_runs += other.exact_runs;

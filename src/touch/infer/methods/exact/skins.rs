@@ -21,7 +21,7 @@ use crate::simulate::model::load_or_build;
 use crate::store::Store;
 
 /// Version of the estimation of errors: part of the cache's key, and of the file next to a calibration.
-const ERRORS_VERSION: &str = "8";
+const ERRORS_VERSION: &str = "9";
 
 /// The file of a stored calibration.
 #[derive(Debug, Clone)]
