@@ -121,6 +121,7 @@ async fn serve_rig(
         bind: args.bind,
         local_admin: args.local_admin,
         data: data_or_default(args.data.clone()),
+        in_place: None,
         rig_file: rig.file,
         rig_text: rig.text,
         // At a desk there is no rig to resume on, but a person may hold the runs: none resumes afterwards, either.
