@@ -22,6 +22,7 @@ use super::output::{note, say};
 use super::progress::shown_wait;
 use super::running::Running;
 use super::signals::{Asked, Signals};
+use super::trust::Certificates;
 use super::virtual_bench::VirtualBench;
 use crate::api::{ServeError, ServeOptions, Service, Tls};
 use crate::conductor::AutoResume;
@@ -140,7 +141,7 @@ async fn serve_rig(
     };
     let service = match started {
         Err(ServeError::Bind { bind, source }) if source.kind() == ErrorKind::AddrInUse => {
-            return Err(taken(bind).await);
+            return Err(taken(bind, tls.as_ref()).await);
         }
         started => started?,
     };
@@ -199,23 +200,35 @@ fn send_operator(args: &ServeArgs, bench: &mut VirtualBench, service: &Service) 
 }
 
 /// The error of an address at which another program listens: which one, if it answers as this service does. It is sent
-/// no key, since it may be any program.
-async fn taken(bind: SocketAddr) -> CliError {
+/// no key, since it may be any program. `tls`: the files of this service; one on the same machine may have the same.
+async fn taken(bind: SocketAddr, tls: Option<&Tls>) -> CliError {
     let local: SocketAddr = match bind.ip() {
         IpAddr::V4(ip) if ip.is_unspecified() => (Ipv4Addr::LOCALHOST, bind.port()).into(),
         IpAddr::V6(ip) if ip.is_unspecified() => (Ipv6Addr::LOCALHOST, bind.port()).into(),
         _ => bind,
     };
-    let by = holder(&format!("http://{local}")).await;
+    let by = match holder(&format!("http://{local}"), None).await {
+        None => {
+            let own = tls.and_then(|tls| Certificates::read(&tls.certificate).ok());
+            holder(&format!("https://{local}"), own.as_ref()).await
+        }
+        plain => plain,
+    };
     let by = by.unwrap_or_else(|| "a program that does not answer as palpate over HTTP".into());
     CliError::PortTaken { bind, by, free: SocketAddr::new(bind.ip(), 0) }
 }
 
-/// The service at a URL, with its database if it states it; `None` if no palpate answers.
-async fn holder(url: &str) -> Option<String> {
-    let client = Client::new(url, None, None).ok()?.patient(HOLDER_WAIT);
-    if client.look().await.ok()? != Found::Palpate {
-        return None;
+/// The service at a URL, with its database if it states it; `None` if no palpate answers. `ca`: certificates that are
+/// trusted instead of those of the system.
+async fn holder(url: &str, ca: Option<&Certificates>) -> Option<String> {
+    let client = Client::new(url, ca, None).ok()?.patient(HOLDER_WAIT);
+    match client.look().await {
+        Ok(Found::Palpate) => {}
+        Err(CliError::Untrusted { .. }) => {
+            let asks = format!("`palpate status --url {url} --ca FILE` asks whether it is palpate");
+            return Some(format!("a program with TLS whose certificate is not trusted ({asks})"));
+        }
+        Ok(Found::Stranger | Found::Nothing) | Err(_) => return None,
     }
     let database = client.status().await.ok().map(|status| status.service.database);
     let of = database.map_or_else(String::new, |database| format!(" of {database}"));
