@@ -78,7 +78,7 @@ pub enum StoreError {
     Late { operation: &'static str, limit_s: u64 },
     #[error("{operation}: the store is closed")]
     Closed { operation: &'static str },
-    /// The store was opened with `Store::read`.
+    /// The store was opened with `Store::read_in_place`.
     #[error("{operation}: the database is only read")]
     ReadOnly { operation: &'static str },
     /// A record was refused before anything was written.

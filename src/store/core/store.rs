@@ -125,7 +125,7 @@ impl Store {
     ///
     /// # Errors
     /// `Open` if the file cannot be read.
-    pub async fn read(database: &Path, path: &Path, clock: Clock) -> StoreResult<Self> {
+    pub async fn read_in_place(database: &Path, path: &Path, clock: Clock) -> StoreResult<Self> {
         Self::with(path, &unchanging(database), Writer::none(), clock).await
     }
 

@@ -29,7 +29,7 @@ async fn a_database_is_read_in_place_and_nothing_is_written() {
     assert!(Store::is_current(&database).await);
 
     let path = folder.0.path().join("elsewhere.db");
-    let store = Store::read(&database, &path, Clock::new(1.0)).await.unwrap();
+    let store = Store::read_in_place(&database, &path, Clock::new(1.0)).await.unwrap();
     assert_eq!(store.path(), path);
     let query = TrialQuery { limit: 9, ..TrialQuery::default() };
     assert_eq!(store.trials(&query).await.unwrap().len(), 1);
