@@ -2,6 +2,7 @@
 //! Uses: `auth` (the keys in memory), `campaign::shown`; after the latch `trace`, `conductor`. Never,
 //! before the latch: the body, a lock, a queue, the store, a log, a span, any other wait.
 
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
 use axum::Json;
@@ -38,31 +39,48 @@ pub struct Latched {
     pub latched: bool,
 }
 
-/// Who latched the e-stop last. The latch has only the name of the key; the body, which is read later, may name a person.
+/// Who latched the e-stop last. The latch has only the name of the key; the body, which is read later, may name a
+/// person.
 #[derive(Debug, Default)]
-pub struct Stopper(Mutex<Option<Named>>);
+pub struct Stopper {
+    /// Number of requests.
+    requests: AtomicU64,
+    noted: Mutex<Option<Named>>,
+}
 
 /// Words of a latch, without and with the person.
 #[derive(Debug)]
 struct Named {
+    request: u64,
     latched: String,
     named: String,
 }
 
 impl Stopper {
-    /// Forgets the person: the e-stop is requested again, and its person is not known yet.
-    fn forget(&self) {
-        *self.0.lock() = None;
+    /// Returns the number of a new request, whose person is not known yet. Takes no lock.
+    fn count(&self) -> u64 {
+        self.requests.fetch_add(1, Ordering::SeqCst) + 1
     }
 
-    fn note(&self, latched: String, named: String) {
-        *self.0.lock() = Some(Named { latched, named });
+    fn is_last(&self, request: u64) -> bool {
+        self.requests.load(Ordering::SeqCst) == request
     }
 
-    /// Names the person in a status that has the words of the latch.
+    /// Notes the person of a request, unless another one has followed while its body arrived.
+    fn note(&self, request: u64, latched: String, named: String) {
+        let mut noted = self.noted.lock();
+        if self.is_last(request) {
+            *noted = Some(Named { request, latched, named });
+        }
+    }
+
+    /// Names the person of the last request in a status that has the words of the latch.
     pub fn name(&self, status: &mut Status) {
-        let noted = self.0.lock();
-        let Some(Named { latched, named }) = &*noted else { return };
+        let noted = self.noted.lock();
+        let Some(Named { request, latched, named }) = &*noted else { return };
+        if !self.is_last(*request) {
+            return;
+        }
         let cause = status.rig.trip.as_mut().map(|trip| &mut trip.detail);
         let waits_for = status.run.as_mut().and_then(|run| run.waiting_for.as_mut());
         for words in [cause, waits_for].into_iter().flatten().filter(|words| **words == *latched) {
@@ -94,7 +112,7 @@ pub async fn estop(app: App, request: Request) -> Response {
     let id = RequestId::of(request.headers());
     let mut response = match latched {
         Ok(caller) => {
-            app.facts.memory.stopper.forget();
+            let number = app.facts.memory.stopper.count();
             let (threads, id) = (app.facts.threads.clone(), id.clone());
             // The span is made there, too: the door's thread never waits for the log.
             threads.spawn(async move {
@@ -105,7 +123,7 @@ pub async fn estop(app: App, request: Request) -> Response {
                     tracing::warn!(latched_ms, "the e-stop was requested and is latched");
                 });
                 let conductor = app.conductor.clone();
-                let logged = log(app, caller, request.into_body());
+                let logged = log(app, caller, number, request.into_body());
                 async { tokio::join!(note(&conductor), logged) }.instrument(span).await;
             });
             // A body that arrives later must not delay the response, nor be read as another request.
@@ -143,8 +161,8 @@ async fn note(conductor: &Conductor) {
     }
 }
 
-/// Logs who stopped, and the reason, if the body states it.
-async fn log(app: App, caller: Caller, body: Body) {
+/// Logs who stopped, and the reason, if the body states it. `request`: its number.
+async fn log(app: App, caller: Caller, request: u64, body: Body) {
     if let Some(key) = &caller.key {
         app.keys.note_use(key);
     }
@@ -152,7 +170,7 @@ async fn log(app: App, caller: Caller, body: Body) {
     let latched = latch_words(&caller.name(None));
     let act = Act::new(caller, "estop");
     act.stated(stated.who.as_deref(), stated.why.as_deref());
-    app.facts.memory.stopper.note(latched, latch_words(&act.name()));
+    app.facts.memory.stopper.note(request, latched, latch_words(&act.name()));
     act.log(&app, Outcome { accepted: true, refused: None }).await;
 }
 
@@ -196,12 +214,16 @@ mod tests {
         };
         let of_both = |words: &str| (Some(words.to_owned()), Some(words.to_owned()));
         assert_eq!(shown(&stopped), of_both("emergency stop (local)"));
-        stopper.note(latched, latch_words("ada (local)"));
+        let first = stopper.count();
+        stopper.note(first, latched.clone(), latch_words("ada (local)"));
         assert_eq!(shown(&stopped), of_both("emergency stop (ada (local))"));
         let mut other = stopped.clone();
         other.rig.trip = Some(Trip { kind: TripKind::Force, detail: "81.0 N over 80.0 N".into() });
         assert_eq!(shown(&other).0.as_deref(), Some("81.0 N over 80.0 N"));
-        stopper.forget();
-        assert_eq!(shown(&stopped), of_both("emergency stop (local)"));
+        let second = stopper.count();
+        assert_eq!(shown(&stopped), of_both("emergency stop (local)"), "its body is not read yet");
+        stopper.note(second, latched.clone(), latch_words("eve (local)"));
+        stopper.note(first, latched, latch_words("ada (local)"));
+        assert_eq!(shown(&stopped), of_both("emergency stop (eve (local))"), "a late body");
     }
 }
