@@ -296,6 +296,8 @@ mod tests {
         }
         add_run(&store).await;
         store.close().await;
+        let computes = View::of(lab.path(), false).await.unwrap();
+        assert_eq!(computes.in_place(), None, "what it computes is stored in a copy");
         for (folder, expected) in [(lab, (2, false)), (killed, (1, true))] {
             let before = files(folder.path());
             assert_eq!(read(folder.path()).await, expected);

@@ -19,8 +19,8 @@ use crate::store::Store;
 /// Begin of the names of the temporary folders, before the id of their process.
 const VIEWS: &str = "palpate-view-";
 
-/// Name of the database, and of its log.
-const DATABASE: [&str; 2] = ["palpate.db", "palpate.db-wal"];
+/// Name of the database, and of its logs: the second one is of another program that wrote into it.
+const DATABASE: [&str; 3] = ["palpate.db", "palpate.db-wal", "palpate.db-journal"];
 /// Files that belong to a process, and what a service writes into the folder of the data.
 const LEFT_OUT: [&str; 5] =
     ["palpate.db-shm", "palpate.lock", "server.json", "service.log", "cache"];
@@ -50,22 +50,18 @@ struct Before {
 
 impl Before {
     fn of(database: &Path) -> Self {
-        let mut log = database.as_os_str().to_owned();
-        log.push("-wal");
+        let is_there = |ending: &str| {
+            let mut log = database.as_os_str().to_owned();
+            log.push(ending);
+            Path::new(&log).exists()
+        };
         let found = database.metadata().ok();
         Self {
             bytes: found.as_ref().map_or(0, std::fs::Metadata::len),
             written_at: found.and_then(|found| found.modified().ok()),
-            has_log: Path::new(&log).exists(),
+            has_log: is_there("-wal") || is_there("-journal"),
         }
     }
-}
-
-/// Whether the database is read in place, not copied. A command that computes also stores. A log belongs to a process
-/// that may write, or holds trials that a killed one left, which SQLite cannot read in a folder that cannot be written.
-/// Tables of another version are migrated, or refused, in the copy.
-fn is_read_in_place(only_reads: bool, has_log: bool, is_current: bool) -> bool {
-    only_reads && !has_log && is_current
 }
 
 impl View {
@@ -76,6 +72,10 @@ impl View {
 
     /// Makes the view of a folder. `only_reads`: the command stores nothing.
     ///
+    /// The database is copied if the command stores what it computes, or if there is a log: it belongs to a process that
+    /// may write, or holds what a killed one left, which SQLite cannot read in a folder that cannot be written. Tables
+    /// of another version are migrated, or refused, in the copy.
+    ///
     /// # Errors
     /// The operating system's if the folder cannot be read, or the view not written.
     pub async fn of(data: &Path, only_reads: bool) -> io::Result<Self> {
@@ -83,8 +83,7 @@ impl View {
         // The log is next to the target of a link.
         let database = database.canonicalize().unwrap_or(database);
         let before = Before::of(&database);
-        let is_current = Store::is_current(&database).await;
-        let is_in_place = is_read_in_place(only_reads, before.has_log, is_current);
+        let is_in_place = only_reads && !before.has_log && Store::is_current(&database).await;
         Self::make(data, is_in_place.then_some(InPlace { database, before }))
     }
 
@@ -170,14 +169,6 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_database_is_read_in_place_by_what_only_reads_without_a_log_and_with_current_tables() {
-        assert!(is_read_in_place(true, false, true));
-        assert!(!is_read_in_place(true, true, true), "trials may be in the log");
-        assert!(!is_read_in_place(true, false, false), "the copy is migrated");
-        assert!(!is_read_in_place(false, false, true), "the copy keeps its work");
-    }
-
-    #[test]
     fn the_view_has_no_copy_of_a_database_that_is_read_in_place_and_notices_its_change() {
         let folder = tempfile::tempdir().unwrap();
         let database = folder.path().join("palpate.db");
@@ -192,16 +183,19 @@ mod tests {
         assert!(opened.folder().join("notes.txt").exists());
         assert!(!opened.folder().join("palpate.db").exists());
         assert_eq!(opened.changed(), None);
-        std::fs::write(folder.path().join("palpate.db-wal"), "").unwrap();
-        assert_eq!(opened.changed().as_ref(), Some(&database), "a process opened it");
-        std::fs::remove_file(folder.path().join("palpate.db-wal")).unwrap();
+        for log in ["palpate.db-wal", "palpate.db-journal"] {
+            let log = folder.path().join(log);
+            std::fs::write(&log, "").unwrap();
+            assert_eq!(opened.changed().as_ref(), Some(&database), "a process opened it");
+            std::fs::remove_file(&log).unwrap();
+        }
         let written = view();
         std::fs::write(&database, "more trials").unwrap();
         assert_eq!(written.changed(), Some(database));
     }
 
-    #[test]
-    fn the_view_has_the_database_as_a_copy_and_the_rest_as_links() {
+    #[tokio::test]
+    async fn the_view_has_the_database_as_a_copy_and_the_rest_as_links() {
         let folder = tempfile::tempdir().unwrap();
         let data = folder.path();
         std::fs::create_dir_all(data.join("datasets")).unwrap();
@@ -210,7 +204,8 @@ mod tests {
         std::fs::write(data.join("palpate.lock"), "7").unwrap();
         assert!(!View::is_needed(data), "it can be written");
 
-        let view = View::make(data, None).unwrap();
+        // Its tables are not those of this version.
+        let view = View::of(data, true).await.unwrap();
         assert_eq!((view.in_place(), view.changed()), (None, None));
         let read = |name: &str| std::fs::read_to_string(view.folder().join(name));
         assert_eq!(read("datasets/ds.parquet").unwrap(), "rows");
