@@ -1,6 +1,6 @@
 //! `palpate serve`: the service until a signal ends it; without a rig file with a virtual bench.
-//! Uses: `api`, `virtual_bench`, `browser`, and `client` for the name of a service that has its port. Never: anything else
-//! that a client could do.
+//! Uses: `api`, `virtual_bench`, `browser`, and `client` and `trust` for the name of a service that has its port. Never:
+//! anything else that a client could do.
 
 use std::io::{ErrorKind, IsTerminal};
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
@@ -207,13 +207,11 @@ async fn taken(bind: SocketAddr, tls: Option<&Tls>) -> CliError {
         IpAddr::V6(ip) if ip.is_unspecified() => (Ipv6Addr::LOCALHOST, bind.port()).into(),
         _ => bind,
     };
-    let by = match holder(&format!("http://{local}"), None).await {
-        None => {
-            let own = tls.and_then(|tls| Certificates::read(&tls.certificate).ok());
-            holder(&format!("https://{local}"), own.as_ref()).await
-        }
-        plain => plain,
-    };
+    let own = tls.and_then(|tls| Certificates::read(&tls.certificate).ok());
+    let (plain, secure) = (format!("http://{local}"), format!("https://{local}"));
+    // At the same time: a program that answers neither is waited for once.
+    let (plain, secure) = tokio::join!(holder(&plain, None), holder(&secure, own.as_ref()));
+    let by = plain.or(secure);
     let by = by.unwrap_or_else(|| "a program that does not answer as palpate over HTTP".into());
     CliError::PortTaken { bind, by, free: SocketAddr::new(bind.ip(), 0) }
 }
