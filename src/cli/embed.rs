@@ -1,5 +1,5 @@
 //! A running service, or one in this process for the duration of a command.
-//! Uses: `api`, `client`. Never: a second process on a data folder (prevented by the service's
+//! Uses: `api`, `client`, `read_only`. Never: a second process on a data folder (prevented by the service's
 //! lock).
 
 use std::net::{Ipv4Addr, SocketAddr};
@@ -111,6 +111,7 @@ fn options(data: PathBuf, rig: &RigFiles, purpose: Purpose) -> CliResult<ServeOp
         local_admin: false,
         bind: SocketAddr::from((Ipv4Addr::LOCALHOST, 0)),
         data,
+        in_place: None,
         rig_file: rig.file.clone(),
         rig_text: rig.text.clone(),
         // The next `serve` finds the runs as they are stored.
@@ -128,7 +129,7 @@ pub enum Purpose {
     /// It only reads: the service that is started for it makes nothing by itself, so that a look at the data does
     /// not resume a training.
     Reads,
-    /// Its result leaves the folder. A copy serves if the folder cannot be written, as for `Reads`.
+    /// Its result leaves the folder. If the folder cannot be written, it works on a copy: it stores what it computes.
     Computes,
     /// It changes the folder, which must be writable.
     Stores,
@@ -138,7 +139,8 @@ pub enum Purpose {
 ///
 /// # Errors
 /// `CliError` if no service can be reached or started, or the error of `work`; `Problems` if it reads and the folder
-/// that was named does not exist, or stores and the folder cannot be written.
+/// that was named does not exist, or stores and the folder cannot be written; `File` if a database that is read in place
+/// was changed meanwhile.
 pub async fn with_purpose<T>(
     at: &At,
     purpose: Purpose,
@@ -147,11 +149,20 @@ pub async fn with_purpose<T>(
     let (client, own) = opened(at, purpose).await?;
     let client = client.showing(WAITING);
     let outcome = AssertUnwindSafe(work(&client)).catch_unwind().await;
+    let mut changed = None;
     // It ends whatever the result, also if the work panics.
-    if let Some((service, _view)) = own {
+    if let Some((service, view)) = own {
         service.shutdown().await;
+        changed = view.and_then(|view| view.changed());
     }
-    outcome.unwrap_or_else(|panic| resume_unwind(panic))
+    let outcome = outcome.unwrap_or_else(|panic| resume_unwind(panic));
+    match changed {
+        Some(path) => {
+            let words = "was used by another process meanwhile, and the answer may be wrong: repeat the command";
+            Err(CliError::File { path, source: std::io::Error::other(words) })
+        }
+        None => outcome,
+    }
 }
 
 /// Carries out a command with its options, as [`with_purpose`].
@@ -185,12 +196,29 @@ async fn opened(at: &At, purpose: Purpose) -> CliResult<(Client, Option<OwnServi
                      or a service with --url";
         return Err(CliError::in_file(&data, limit));
     }
-    let view = View::of(&data).map_err(CliError::file(&data))?;
-    let folder = view.as_ref().map_or(data, |view| view.folder().to_owned());
-    let options = options(folder, &RigFiles::read(None)?, purpose)?;
+    let view = match View::is_needed(&data) {
+        true => {
+            let view = View::of(&data, purpose == Purpose::Reads).await;
+            Some(view.map_err(CliError::file(&data))?)
+        }
+        false => None,
+    };
+    let (client, service) = started(data, view.as_ref(), purpose).await?;
+    Ok((client, Some((service, view))))
+}
+
+/// Starts a service on a data folder, or on the view of it.
+async fn started(
+    data: PathBuf,
+    view: Option<&View>,
+    purpose: Purpose,
+) -> CliResult<(Client, Service)> {
+    let folder = view.map_or(data, |view| view.folder().to_owned());
+    let in_place = view.and_then(|view| view.in_place().map(Path::to_owned));
+    let options = ServeOptions { in_place, ..options(folder, &RigFiles::read(None)?, purpose)? };
     let service = shown_wait("opening the data folder", Service::start(options)).await?;
     match Client::new(&service.url(), None, None) {
-        Ok(client) => Ok((client, Some((service, view)))),
+        Ok(client) => Ok((client, service)),
         Err(error) => {
             service.shutdown().await;
             Err(error)
@@ -200,7 +228,82 @@ async fn opened(at: &At, purpose: Purpose) -> CliResult<(Client, Option<OwnServi
 
 #[cfg(test)]
 mod tests {
+    use std::collections::BTreeMap;
+
+    use serde_json::Value;
+
     use super::*;
+    use crate::clock::Clock;
+    use crate::ids::RunUid;
+    use crate::store::{ImportedTrial, Label, NewRun, RunKind, Store};
+
+    async fn opened_store(data: &Path) -> Store {
+        Store::open(&data.join("palpate.db"), Clock::new(1.0)).await.unwrap()
+    }
+
+    /// Stores a run with one trial.
+    async fn add_run(store: &Store) {
+        let new = NewRun {
+            uid: RunUid::new(),
+            experiment: "small".into(),
+            kind: RunKind::RealRandom,
+            definition: "no experiment".into(),
+            seed: Some(1),
+            rig: Some("no rig".into()),
+            sensor: "no sensor".into(),
+            calibration_id: None,
+            label: Label::Virtual,
+            version: "0.1.0".into(),
+            git_commit: None,
+            deadband_n: 5.0,
+            tip_diameter_mm: None,
+            plan: None,
+            trials_planned: 1,
+            auto_resume: false,
+            not_before: None,
+            submitted_by: "ada".into(),
+        };
+        let run = store.create_run(new).await.unwrap().uid;
+        let trial = ImportedTrial { voltages_v: vec![0.1; 784], ..ImportedTrial::default() };
+        store.import_trials(run, None, vec![trial]).await.unwrap();
+    }
+
+    /// Reads a folder as one that cannot be written. Returns the number of its trials, and whether its database was
+    /// copied.
+    async fn read(data: &Path) -> (usize, bool) {
+        let view = View::of(data, true).await.unwrap();
+        let (client, service) = started(data.into(), Some(&view), Purpose::Reads).await.unwrap();
+        let trials: Value = client.get("/api/v1/trials?limit=9").await.unwrap();
+        service.shutdown().await;
+        assert_eq!(view.changed(), None);
+        let is_copied = view.folder().join("palpate.db").exists();
+        (trials["items"].as_array().unwrap().len(), is_copied)
+    }
+
+    fn files(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
+        let paths = folder.read_dir().unwrap().map(|entry| entry.unwrap().path());
+        paths.map(|path| (path.clone(), std::fs::read(path).unwrap())).collect()
+    }
+
+    #[tokio::test]
+    async fn a_folder_that_cannot_be_written_is_read_in_place_unless_trials_are_in_the_log() {
+        let (lab, killed) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+        let store = opened_store(lab.path()).await;
+        add_run(&store).await;
+        // As a killed process leaves them.
+        for name in ["palpate.db", "palpate.db-wal"] {
+            std::fs::copy(lab.path().join(name), killed.path().join(name)).unwrap();
+        }
+        add_run(&store).await;
+        store.close().await;
+        let computes = View::of(lab.path(), false).await.unwrap();
+        assert_eq!(computes.in_place(), None, "what it computes is stored in a copy");
+        for (folder, expected) in [(lab, (2, false)), (killed, (1, true))] {
+            let before = files(folder.path());
+            assert_eq!(read(folder.path()).await, expected);
+            assert!(files(folder.path()) == before, "nothing is written");
+        }
+    }
 
     #[test]
     fn the_service_of_a_command_takes_no_rig() {

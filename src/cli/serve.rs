@@ -1,6 +1,6 @@
 //! `palpate serve`: the service until a signal ends it; without a rig file with a virtual bench.
-//! Uses: `api`, `virtual_bench`, `browser`, and `client` for the name of a service that has its port. Never: anything else
-//! that a client could do.
+//! Uses: `api`, `virtual_bench`, `browser`, and `client` and `trust` for the name of a service that has its port. Never:
+//! anything else that a client could do.
 
 use std::io::{ErrorKind, IsTerminal};
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
@@ -22,6 +22,7 @@ use super::output::{note, say};
 use super::progress::shown_wait;
 use super::running::Running;
 use super::signals::{Asked, Signals};
+use super::trust::Certificates;
 use super::virtual_bench::VirtualBench;
 use crate::api::{ServeError, ServeOptions, Service, Tls};
 use crate::conductor::AutoResume;
@@ -121,6 +122,7 @@ async fn serve_rig(
         bind: args.bind,
         local_admin: args.local_admin,
         data: data_or_default(args.data.clone()),
+        in_place: None,
         rig_file: rig.file,
         rig_text: rig.text,
         // At a desk there is no rig to resume on, but a person may hold the runs: none resumes afterwards, either.
@@ -139,7 +141,7 @@ async fn serve_rig(
     };
     let service = match started {
         Err(ServeError::Bind { bind, source }) if source.kind() == ErrorKind::AddrInUse => {
-            return Err(taken(bind).await);
+            return Err(taken(bind, tls.as_ref()).await);
         }
         started => started?,
     };
@@ -198,23 +200,33 @@ fn send_operator(args: &ServeArgs, bench: &mut VirtualBench, service: &Service) 
 }
 
 /// The error of an address at which another program listens: which one, if it answers as this service does. It is sent
-/// no key, since it may be any program.
-async fn taken(bind: SocketAddr) -> CliError {
+/// no key, since it may be any program. `tls`: the files of this service; one on the same machine may have the same.
+async fn taken(bind: SocketAddr, tls: Option<&Tls>) -> CliError {
     let local: SocketAddr = match bind.ip() {
         IpAddr::V4(ip) if ip.is_unspecified() => (Ipv4Addr::LOCALHOST, bind.port()).into(),
         IpAddr::V6(ip) if ip.is_unspecified() => (Ipv6Addr::LOCALHOST, bind.port()).into(),
         _ => bind,
     };
-    let by = holder(&format!("http://{local}")).await;
+    let own = tls.and_then(|tls| Certificates::read(&tls.certificate).ok());
+    let (plain, secure) = (format!("http://{local}"), format!("https://{local}"));
+    // At the same time: a program that answers neither is waited for once.
+    let (plain, secure) = tokio::join!(holder(&plain, None), holder(&secure, own.as_ref()));
+    let by = plain.or(secure);
     let by = by.unwrap_or_else(|| "a program that does not answer as palpate over HTTP".into());
     CliError::PortTaken { bind, by, free: SocketAddr::new(bind.ip(), 0) }
 }
 
-/// The service at a URL, with its database if it states it; `None` if no palpate answers.
-async fn holder(url: &str) -> Option<String> {
-    let client = Client::new(url, None, None).ok()?.patient(HOLDER_WAIT);
-    if client.look().await.ok()? != Found::Palpate {
-        return None;
+/// The service at a URL, with its database if it states it; `None` if no palpate answers. `ca`: certificates that are
+/// trusted instead of those of the system.
+async fn holder(url: &str, ca: Option<&Certificates>) -> Option<String> {
+    let client = Client::new(url, ca, None).ok()?.patient(HOLDER_WAIT);
+    match client.look().await {
+        Ok(Found::Palpate) => {}
+        Err(CliError::Untrusted { .. }) => {
+            let asks = format!("`palpate status --url {url} --ca FILE` asks whether it is palpate");
+            return Some(format!("a program with TLS whose certificate is not trusted ({asks})"));
+        }
+        Ok(Found::Stranger | Found::Nothing) | Err(_) => return None,
     }
     let database = client.status().await.ok().map(|status| status.service.database);
     let of = database.map_or_else(String::new, |database| format!(" of {database}"));

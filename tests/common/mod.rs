@@ -73,6 +73,7 @@ pub fn serve_options(data: &Path, rig_text: String) -> ServeOptions {
         local_admin: true,
         bind: "127.0.0.1:0".parse().unwrap(),
         data: data.into(),
+        in_place: None,
         rig_file: "rig.toml".into(),
         rig_text,
         resume: AutoResume::Off,

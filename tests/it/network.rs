@@ -201,6 +201,18 @@ fn commands_on_the_same_machine_find_a_service_with_tls() {
     let variables = [("PALPATE_URL", url.as_str()), ("PALPATE_CA", own.as_str())];
     let named = command(&["status", "--json"], &variables);
     assert!(named.status.success(), "{}", text(&named.stderr));
+    // A second service on its port, with the same certificate and without one.
+    let (address, elsewhere) = (url.trim_start_matches("https://"), files.path("elsewhere"));
+    let key = key.display().to_string();
+    let taken = |more: &[&str]| {
+        let serve = ["serve", "--desk", "--bind", address, "--data", &elsewhere];
+        text(&command(&[&serve[..], more].concat(), &[]).stderr)
+    };
+    let named = taken(&["--tls-cert", &own, "--tls-key", &key]);
+    let holder = format!("in use by the palpate service of {data}/palpate.db ({url})");
+    assert!(named.contains(&holder), "{named}");
+    let unknown = taken(&[]);
+    assert!(unknown.contains("in use by a program"), "{unknown}");
 }
 
 // ---------------------------------------------------------------- keys on loopback

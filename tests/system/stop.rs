@@ -179,7 +179,10 @@ async fn the_log_says_who_and_why(lab: &Lab, viewer: &str) {
         })
     };
     lab.eventually("the log of the stop", "/api/v1/actions", written).await;
-    lab.until("a stop", is_stopped).await;
+    let names = |status: &Value| {
+        is_stopped(status) && status["rig"]["trip"]["detail"] == "emergency stop (viewer key (eve))"
+    };
+    lab.until("the name of the person", names).await;
     reset(lab).await;
 }
 

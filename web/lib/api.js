@@ -208,11 +208,11 @@ const ESTOP = '/api/v1/estop'
 export async function estop() {
   others.abort(new Stopped())
   others = new AbortController()
-  const why = person.name ? `pressed on the page by ${person.name}` : 'pressed on the page'
+  const who = person.name || undefined, why = 'pressed on the page'
   let reason = 'it did not latch', keyless = false
   for (let attempt = 0; attempt < 5; attempt += 1) {
     try {
-      const { latched } = await (await ask(ESTOP, { body: { why }, wait: 1000, keyless })).json()
+      const { latched } = await (await ask(ESTOP, { body: { who, why }, wait: 1000, keyless })).json()
       if (latched) return { latched: true, words: `Emergency stop latched at ${clock(Date.now())}.` }
     } catch (error) {
       // With a wrong key the service refuses what it may grant without one.

@@ -154,12 +154,16 @@ pub(super) fn cut(text: &str, max_chars: usize) -> String {
 }
 
 impl App {
-    /// Stores an entry of the log. A failure is reported, and the entry is stored later.
+    /// Stores an entry of the log. A failure is reported, and the entry is stored later. A database that is only read
+    /// has no entry of who read it.
     pub(super) async fn log_action(&self, new: NewAction) {
-        if let Err(error) = self.store.log_action(new.clone()).await {
-            let error = error_chain(&error);
-            tracing::error!(error, ?new, "an action is not logged yet");
-            self.log_later(new);
+        match self.store.log_action(new.clone()).await {
+            Ok(()) | Err(StoreError::ReadOnly { .. }) => {}
+            Err(error) => {
+                let error = error_chain(&error);
+                tracing::error!(error, ?new, "an action is not logged yet");
+                self.log_later(new);
+            }
         }
     }
 

@@ -1,7 +1,8 @@
 //! The e-stop by HTTP: latch first, then read name and reason from the body, then log.
-//! Uses: `auth` (the keys in memory), `campaign::shown::command`; after the latch `trace`, `conductor`. Never,
+//! Uses: `auth` (the keys in memory), `campaign::shown`; after the latch `trace`, `conductor`. Never,
 //! before the latch: the body, a lock, a queue, the store, a log, a span, any other wait.
 
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
 use axum::Json;
@@ -10,6 +11,7 @@ use axum::extract::{MatchedPath, Request};
 use axum::http::header;
 use axum::response::{IntoResponse, Response};
 use futures::StreamExt;
+use parking_lot::Mutex;
 use serde::Serialize;
 use tracing::Instrument;
 use utoipa::ToSchema;
@@ -21,6 +23,7 @@ use super::limits::WHO_MAX_CHARS;
 use super::problem::ApiResult;
 use super::runs::Attribution;
 use super::trace::RequestId;
+use crate::campaign::shown::status::Status;
 use crate::conductor::Conductor;
 use crate::journal::error_chain;
 
@@ -36,10 +39,65 @@ pub struct Latched {
     pub latched: bool,
 }
 
+/// Who latched the e-stop last. The latch has only the name of the key; the body, which is read later, may name a
+/// person.
+#[derive(Debug, Default)]
+pub struct Stopper {
+    /// Number of requests.
+    requests: AtomicU64,
+    noted: Mutex<Option<Named>>,
+}
+
+/// Words of a latch, without and with the person.
+#[derive(Debug)]
+struct Named {
+    request: u64,
+    latched: String,
+    named: String,
+}
+
+impl Stopper {
+    /// Returns the number of a new request, whose person is not known yet. Takes no lock.
+    fn count(&self) -> u64 {
+        self.requests.fetch_add(1, Ordering::SeqCst) + 1
+    }
+
+    fn is_last(&self, request: u64) -> bool {
+        self.requests.load(Ordering::SeqCst) == request
+    }
+
+    /// Notes the person of a request, unless another one has followed while its body arrived.
+    fn note(&self, request: u64, latched: String, named: String) {
+        let mut noted = self.noted.lock();
+        if self.is_last(request) {
+            *noted = Some(Named { request, latched, named });
+        }
+    }
+
+    /// Names the person of the last request in a status that has the words of the latch.
+    pub fn name(&self, status: &mut Status) {
+        let noted = self.noted.lock();
+        let Some(Named { request, latched, named }) = &*noted else { return };
+        if !self.is_last(*request) {
+            return;
+        }
+        let cause = status.rig.trip.as_mut().map(|trip| &mut trip.detail);
+        let waits_for = status.run.as_mut().and_then(|run| run.waiting_for.as_mut());
+        for words in [cause, waits_for].into_iter().flatten().filter(|words| **words == *latched) {
+            words.clone_from(named);
+        }
+    }
+}
+
+/// Words of the latch.
+fn latch_words(name: &str) -> String {
+    format!("emergency stop ({})", cut(name, WHO_MAX_CHARS))
+}
+
 /// Stops all axes immediately and latches the e-stop.
 ///
 /// Any valid key permits it, for every role and every holder of the lock; it may be repeated. The
-/// body is only used for the log of actions: without one, or with an invalid one, the stop is the
+/// body only states who stopped, and why: without one, or with an invalid one, the stop is the
 /// same.
 #[utoipa::path(post, path = "/api/v1/estop", tag = "rig",
     request_body(content = Option<serde_json::Value>, description = "`who` and `why`, as in Attribution, for \
@@ -54,6 +112,7 @@ pub async fn estop(app: App, request: Request) -> Response {
     let id = RequestId::of(request.headers());
     let mut response = match latched {
         Ok(caller) => {
+            let number = app.facts.memory.stopper.count();
             let (threads, id) = (app.facts.threads.clone(), id.clone());
             // The span is made there, too: the door's thread never waits for the log.
             threads.spawn(async move {
@@ -64,7 +123,7 @@ pub async fn estop(app: App, request: Request) -> Response {
                     tracing::warn!(latched_ms, "the e-stop was requested and is latched");
                 });
                 let conductor = app.conductor.clone();
-                let logged = log(app, caller, request.into_body());
+                let logged = log(app, caller, number, request.into_body());
                 async { tokio::join!(note(&conductor), logged) }.instrument(span).await;
             });
             // A body that arrives later must not delay the response, nor be read as another request.
@@ -90,8 +149,7 @@ pub async fn estop(app: App, request: Request) -> Response {
 fn latch(app: &App, request: &Request) -> ApiResult<Caller> {
     let peer = request.extensions().get().copied();
     let caller = auth::identify_stop(app, request.headers(), peer)?;
-    let name = cut(&caller.name(None), WHO_MAX_CHARS);
-    app.campaign.estop(&format!("emergency stop ({name})"));
+    app.campaign.estop(&latch_words(&caller.name(None)));
     Ok(caller)
 }
 
@@ -103,14 +161,16 @@ async fn note(conductor: &Conductor) {
     }
 }
 
-/// Logs who stopped, and the reason, if the body states it.
-async fn log(app: App, caller: Caller, body: Body) {
+/// Logs who stopped, and the reason, if the body states it. `request`: its number.
+async fn log(app: App, caller: Caller, request: u64, body: Body) {
     if let Some(key) = &caller.key {
         app.keys.note_use(key);
     }
     let stated: Attribution = serde_json::from_slice(&beginning(body).await).unwrap_or_default();
+    let latched = latch_words(&caller.name(None));
     let act = Act::new(caller, "estop");
     act.stated(stated.who.as_deref(), stated.why.as_deref());
+    app.facts.memory.stopper.note(request, latched, latch_words(&act.name()));
     act.log(&app, Outcome { accepted: true, refused: None }).await;
 }
 
@@ -128,4 +188,42 @@ async fn beginning(body: Body) -> Vec<u8> {
     // After the deadline the received part counts as the body.
     let _ = tokio::time::timeout(BODY_WAIT, take).await;
     kept
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::needs::tests::{status, waiting};
+    use super::*;
+    use crate::campaign::bench::interlock::{Trip, TripKind};
+    use crate::campaign::bench::rig_state::RigState;
+    use crate::state::PausedWhy;
+
+    #[test]
+    fn a_latched_stop_is_shown_with_the_person_until_another_is_requested() {
+        let latched = latch_words("local");
+        let mut stopped = status(RigState::Tripped);
+        stopped.rig.trip = Some(Trip { kind: TripKind::Estop, detail: latched.clone() });
+        let mut run = waiting(PausedWhy::Trip);
+        run.waiting_for = Some(latched.clone());
+        stopped.run = Some(run);
+        let stopper = Stopper::default();
+        let shown = |status: &Status| {
+            let mut shown = status.clone();
+            stopper.name(&mut shown);
+            (shown.rig.trip.map(|trip| trip.detail), shown.run.and_then(|run| run.waiting_for))
+        };
+        let of_both = |words: &str| (Some(words.to_owned()), Some(words.to_owned()));
+        assert_eq!(shown(&stopped), of_both("emergency stop (local)"));
+        let first = stopper.count();
+        stopper.note(first, latched.clone(), latch_words("ada (local)"));
+        assert_eq!(shown(&stopped), of_both("emergency stop (ada (local))"));
+        let mut other = stopped.clone();
+        other.rig.trip = Some(Trip { kind: TripKind::Force, detail: "81.0 N over 80.0 N".into() });
+        assert_eq!(shown(&other).0.as_deref(), Some("81.0 N over 80.0 N"));
+        let second = stopper.count();
+        assert_eq!(shown(&stopped), of_both("emergency stop (local)"), "its body is not read yet");
+        stopper.note(second, latched.clone(), latch_words("eve (local)"));
+        stopper.note(first, latched, latch_words("ada (local)"));
+        assert_eq!(shown(&stopped), of_both("emergency stop (eve (local))"), "a late body");
+    }
 }

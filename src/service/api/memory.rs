@@ -8,6 +8,7 @@ use std::sync::Arc;
 use jiff::Timestamp;
 use parking_lot::Mutex;
 
+use super::estop::Stopper;
 use super::gather::GatherOut;
 use super::history::History;
 use super::kept::Kept;
@@ -60,6 +61,8 @@ pub struct Memory {
     pub(super) ended_wear: EndedWear,
     /// Since when values are beyond their thresholds.
     pub(super) beyond: Beyond,
+    /// Who latched the e-stop last.
+    pub(super) stopper: Stopper,
     /// Messages of the live status.
     pub(super) live_status: Messages,
     /// Samples of the load cells.
@@ -85,6 +88,7 @@ impl Default for Memory {
             gather: Mutex::default(),
             ended_wear: EndedWear::default(),
             beyond: Beyond::default(),
+            stopper: Stopper::default(),
             live_status: Messages::default(),
             samples: Ring::default(),
             counters: Counters::default(),

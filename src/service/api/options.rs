@@ -22,6 +22,9 @@ pub struct ServeOptions {
     pub bind: SocketAddr,
     /// Data folder.
     pub data: PathBuf,
+    /// Database that is only read, where it is, instead of the one in the data folder: current, and changed by no
+    /// process (`Store::read_in_place`).
+    pub in_place: Option<PathBuf>,
     /// Name of the rig file in messages.
     pub rig_file: String,
     /// Text of the rig file.

@@ -335,6 +335,7 @@ impl From<StoreError> for ApiError {
             | StoreError::NotStored { .. }
             | StoreError::Late { .. }
             | StoreError::Closed { .. }
+            | StoreError::ReadOnly { .. }
             | StoreError::Unreadable { .. }
             | StoreError::Damaged { .. }
             | StoreError::FreeSpace(_) => StatusCode::INTERNAL_SERVER_ERROR,

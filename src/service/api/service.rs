@@ -73,7 +73,11 @@ impl Service {
         if !options.desk {
             locks.extend(LockFile::of_rig(&config)?);
         }
-        let store = Store::open(&data_folder::database(&options.data), Clock::new(1.0)).await?;
+        let (database, clock) = (data_folder::database(&options.data), Clock::new(1.0));
+        let store = match &options.in_place {
+            Some(in_place) => Store::read_in_place(in_place, &database, clock).await?,
+            None => Store::open(&database, clock).await?,
+        };
         if options.resume == AutoResume::Later {
             store.leave_open_runs();
         }
@@ -135,7 +139,9 @@ impl Service {
             options.twin_workers,
         );
         // Nothing shows what a broken-off import has left: a rig need not wait for it.
-        if let Err(error) = store.sweep_imports().await {
+        if options.in_place.is_none()
+            && let Err(error) = store.sweep_imports().await
+        {
             let error = error_chain(&error);
             tracing::warn!(error, "what an import has left is removed at the next start");
         }

@@ -184,7 +184,8 @@ impl App {
             wrong_keys,
             wrong_key_at,
         };
-        let campaign = self.campaign.status();
+        let mut campaign = self.campaign.status();
+        self.facts.memory.stopper.name(&mut campaign);
         let free_bytes = self.store.free_bytes().await.ok();
         let frame = self.campaign.watch_frames().borrow().clone();
         let twins = self.twins.status();

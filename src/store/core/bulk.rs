@@ -50,7 +50,7 @@ impl Drop for Gone {
 }
 
 impl Bulk {
-    /// Connections to this file, opened when they are first needed.
+    /// Connections to this file, or to the one that an address of SQLite names, opened when they are first needed.
     pub(crate) fn new(path: &Path, busy_timeout: Duration) -> Self {
         let turns = Arc::new(Semaphore::new(BULK_CONNECTIONS as usize));
         let inner = Inner { path: path.to_owned(), busy_timeout, turns, idle: Mutex::default() };
@@ -130,7 +130,9 @@ impl Bulk {
 
 impl Inner {
     fn open(&self) -> rusqlite::Result<Connection> {
-        let flags = OpenFlags::SQLITE_OPEN_READ_ONLY | OpenFlags::SQLITE_OPEN_NO_MUTEX;
+        let flags = OpenFlags::SQLITE_OPEN_READ_ONLY
+            | OpenFlags::SQLITE_OPEN_NO_MUTEX
+            | OpenFlags::SQLITE_OPEN_URI;
         let connection = Connection::open_with_flags(&self.path, flags)?;
         connection.busy_timeout(self.busy_timeout)?;
         connection.pragma_update(None, "query_only", true)?;

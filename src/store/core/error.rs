@@ -78,6 +78,9 @@ pub enum StoreError {
     Late { operation: &'static str, limit_s: u64 },
     #[error("{operation}: the store is closed")]
     Closed { operation: &'static str },
+    /// The store was opened with `Store::read_in_place`.
+    #[error("{operation}: the database is only read")]
+    ReadOnly { operation: &'static str },
     /// A record was refused before anything was written.
     #[error("{operation}: {field} {limit}")]
     Refused { operation: &'static str, field: &'static str, limit: &'static str },
@@ -122,6 +125,7 @@ impl StoreError {
             | Self::Read { .. }
             | Self::NotStored { .. }
             | Self::Closed { .. }
+            | Self::ReadOnly { .. }
             | Self::Refused { .. }
             | Self::Unreadable { .. }
             | Self::Damaged { .. }
@@ -140,7 +144,8 @@ impl StoreError {
             Self::Sql { source: sqlx::Error::Database(e), .. } => {
                 !matches!(e.kind(), sqlx::error::ErrorKind::Other)
             }
-            Self::Refused { .. }
+            Self::ReadOnly { .. }
+            | Self::Refused { .. }
             | Self::Unreadable { .. }
             | Self::Damaged { .. }
             | Self::NoSuchRun(_)

@@ -3,10 +3,12 @@
 //!
 //! sqlx's own macro does the same, but its crate builds SQLite a second time, for the compiler.
 
+use std::collections::BTreeMap;
 use std::sync::LazyLock;
 
 use rust_embed::RustEmbed;
 use sqlx::migrate::{Migration, MigrationType, Migrator};
+use sqlx::sqlite::SqliteConnection;
 use sqlx::{AssertSqlSafe, SqlSafeStr};
 
 #[derive(RustEmbed)]
@@ -17,6 +19,18 @@ struct Files;
 pub(crate) static MIGRATIONS: LazyLock<Migrator> = LazyLock::new(|| {
     Migrator::with_migrations(Files::iter().filter_map(|name| migration(&name)).collect())
 });
+
+/// Whether a database has all migrations, and no others. Writes nothing, unlike `Migrator::run`.
+pub(crate) async fn are_applied(connection: &mut SqliteConnection) -> Result<bool, sqlx::Error> {
+    let applied: Vec<(i64, Vec<u8>)> =
+        sqlx::query_as("SELECT version, checksum FROM _sqlx_migrations WHERE success")
+            .fetch_all(connection)
+            .await?;
+    let applied: BTreeMap<i64, Vec<u8>> = applied.into_iter().collect();
+    let known = MIGRATIONS.iter().map(|known| (known.version, known.checksum.to_vec()));
+    let known: BTreeMap<i64, Vec<u8>> = known.collect();
+    Ok(applied == known)
+}
 
 /// The migration of a file `NNNN_what_it_does.sql`, as sqlx reads it from a folder; `None` for other
 /// files.

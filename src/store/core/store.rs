@@ -3,6 +3,7 @@
 
 use std::collections::HashMap;
 use std::io::ErrorKind;
+use std::os::unix::ffi::OsStrExt;
 use std::os::unix::fs::OpenOptionsExt;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -21,8 +22,8 @@ use super::columns;
 use super::error::{During, StoreError, StoreResult};
 use super::facts::RunFacts;
 use super::log;
-use super::migrations::MIGRATIONS;
-use super::writer::Writer;
+use super::migrations::{self, MIGRATIONS};
+use super::writer::{Writer, require_columns};
 use crate::clock::Clock;
 use crate::ids::RunUid;
 use crate::record::LOG_BYTES;
@@ -84,13 +85,7 @@ impl Store {
     /// connection, a migration or the writer's thread fails; `Late` after 600 s.
     pub async fn open(path: &Path, clock: Clock) -> StoreResult<Self> {
         let open = |source| StoreError::Open { path: path.to_owned(), source };
-        let options = SqliteConnectOptions::new()
-            .filename(path)
-            .busy_timeout(BUSY_TIMEOUT)
-            .foreign_keys(true)
-            .disable_statement_logging();
-        let writing = options
-            .clone()
+        let writing = options(path)
             .page_size(PAGE_BYTES)
             .journal_mode(SqliteJournalMode::Wal)
             .synchronous(SqliteSynchronous::Full)
@@ -120,6 +115,35 @@ impl Store {
         }
         let writer = Writer::start(writing)?;
         writer.open(path, &MIGRATIONS).await?;
+        Self::with(path, path, writer, clock).await
+    }
+
+    /// Opens a current database ([`Self::is_current`]) that no process changes, where it is, and only reads it: without
+    /// a thread that writes, a lock, its log, or any other file next to it.
+    ///
+    /// `database`: path of the file. `path`: path that [`Self::path`] returns, in the folder of what is computed.
+    ///
+    /// # Errors
+    /// `Open` if the file cannot be read.
+    pub async fn read_in_place(database: &Path, path: &Path, clock: Clock) -> StoreResult<Self> {
+        Self::with(path, &unchanging(database), Writer::none(), clock).await
+    }
+
+    /// Whether a file that no process changes is a database with exactly the tables of this version; false also if it
+    /// cannot be read. Writes nothing.
+    pub async fn is_current(database: &Path) -> bool {
+        const OPERATION: &str = "comparing the migrations with those of this version";
+        let compared = async {
+            let reading = options(&unchanging(database)).read_only(true);
+            let mut connection = reading.connect().await.during(OPERATION)?;
+            require_columns(&mut connection, &MIGRATIONS).await?;
+            migrations::are_applied(&mut connection).await.during(OPERATION)
+        };
+        compared.await.unwrap_or(false)
+    }
+
+    /// The store of a file, or of an address of SQLite, with what writes to it.
+    async fn with(path: &Path, file: &Path, writer: Writer, clock: Clock) -> StoreResult<Self> {
         let readers = SqlitePoolOptions::new()
             .max_connections(READERS)
             .acquire_timeout(READER_TIMEOUT)
@@ -127,13 +151,16 @@ impl Store {
             .max_lifetime(None)
             .test_before_acquire(false)
             .connect_with(
-                options.read_only(true).row_buffer_size(ROWS_AHEAD).pragma("query_only", "ON"),
+                options(file)
+                    .read_only(true)
+                    .row_buffer_size(ROWS_AHEAD)
+                    .pragma("query_only", "ON"),
             )
             .await
-            .map_err(open)?;
+            .map_err(|source| StoreError::Open { path: path.to_owned(), source })?;
+        let bulk = Bulk::new(file, BUSY_TIMEOUT);
         let (path, changes) = (path.to_owned(), Mutex::default());
         let (runs, soundness) = (Mutex::default(), Mutex::default());
-        let bulk = Bulk::new(&path, BUSY_TIMEOUT);
         let leaves_open = AtomicBool::default();
         let inner =
             Inner { path, clock, writer, readers, bulk, runs, soundness, changes, leaves_open };
@@ -201,6 +228,25 @@ impl Store {
     pub(crate) fn now_text(&self) -> String {
         columns::time_text(self.inner.clock.timestamp())
     }
+}
+
+/// Options of every connection to a file, or to the one that an address of SQLite names.
+fn options(file: &Path) -> SqliteConnectOptions {
+    SqliteConnectOptions::new()
+        .filename(file)
+        .busy_timeout(BUSY_TIMEOUT)
+        .foreign_keys(true)
+        .disable_statement_logging()
+}
+
+/// Address by which SQLite reads a file that no process changes: without a lock, and without its log.
+fn unchanging(database: &Path) -> PathBuf {
+    let encoded = |byte: &u8| match byte.is_ascii_alphanumeric() {
+        true => char::from(*byte).to_string(),
+        false => format!("%{byte:02X}"),
+    };
+    let path: String = database.as_os_str().as_bytes().iter().map(encoded).collect();
+    format!("file:{path}?immutable=1").into()
 }
 
 /// Creates a new database under a temporary name, then renames it. A process that is killed meanwhile

@@ -33,7 +33,8 @@ type Job = Box<dyn for<'h> FnOnce(&'h mut Hand) -> LocalBoxFuture<'h, ()> + Send
 /// Sends jobs to the thread that writes. Clones share the thread.
 #[derive(Clone)]
 pub(crate) struct Writer {
-    jobs: mpsc::Sender<Job>,
+    /// `None` for a database that is only read.
+    jobs: Option<mpsc::Sender<Job>>,
     /// Longest wall time from submitting a job to its answer; `None` if the caller has its own deadline.
     deadline: Option<Duration>,
 }
@@ -79,7 +80,12 @@ impl Writer {
                 });
             })
             .map_err(StoreError::StartWriter)?;
-        Ok(Self { jobs, deadline: Some(WRITE_DEADLINE) })
+        Ok(Self { jobs: Some(jobs), deadline: Some(WRITE_DEADLINE) })
+    }
+
+    /// Returns a writer without a thread, which refuses every job, for a database that is only read.
+    pub(crate) fn none() -> Self {
+        Self { jobs: None, deadline: None }
     }
 
     /// Returns the same writer without a deadline, for a caller that has its own.
@@ -118,7 +124,8 @@ impl Writer {
     ///
     /// # Errors
     /// An error of `work`, after which the transaction is rolled back; `Sql` if it cannot begin or
-    /// commit; `Late` after the deadline; `Closed` if the thread has ended.
+    /// commit; `Late` after the deadline; `Closed` if the thread has ended; `ReadOnly` if
+    /// there is none.
     pub(crate) async fn run<T, F>(&self, operation: &'static str, work: F) -> StoreResult<T>
     where
         T: Send + 'static,
@@ -188,6 +195,7 @@ impl Writer {
         T: Send + 'static,
         F: AsyncFnOnce(&mut Hand) -> StoreResult<T> + Send + 'static,
     {
+        let Some(jobs) = &self.jobs else { return Err(StoreError::ReadOnly { operation }) };
         let (answer, answered) = oneshot::channel();
         let span = Span::current();
         let job: Job = Box::new(move |hand| {
@@ -199,7 +207,7 @@ impl Writer {
         });
         let closed = || StoreError::Closed { operation };
         let done = async {
-            self.jobs.send(job).await.map_err(|_| closed())?;
+            jobs.send(job).await.map_err(|_| closed())?;
             answered.await.map_err(|_| closed())?
         };
         let Some(deadline) = deadline else { return done.await };
@@ -310,7 +318,7 @@ impl Hand {
 ///
 /// # Errors
 /// `Damaged` with the missing columns.
-async fn require_columns(
+pub(super) async fn require_columns(
     connection: &mut SqliteConnection,
     migrations: &Migrator,
 ) -> StoreResult<()> {

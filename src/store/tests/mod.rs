@@ -6,6 +6,7 @@ mod bulk;
 mod columns;
 mod damage;
 mod datasets;
+mod in_place;
 mod notes;
 mod once;
 mod people;
@@ -61,6 +62,12 @@ impl Folder {
 
     /// Opens a file that the version before the migration of this number has made and filled.
     async fn open_from_before(&self, migration: i64, filled: &[&'static str]) -> Store {
+        self.make_before(migration, filled).await;
+        open(&self.file()).await
+    }
+
+    /// Makes and fills a file as the version before the migration of this number.
+    async fn make_before(&self, migration: i64, filled: &[&'static str]) {
         let mut file = self.behind().await;
         let folder = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../migrations"));
         let mut before = Migrator::new(folder).await.unwrap();
@@ -70,7 +77,6 @@ impl Folder {
             sqlx::raw_sql(*sql).execute(&mut file).await.unwrap();
         }
         file.close().await.unwrap();
-        open(&self.file()).await
     }
 }
 
