@@ -1,6 +1,6 @@
 //! A running service, or one in this process for the duration of a command.
-//! Uses: `api`, `client`, `read_only`. Never: a second process on a data folder (prevented by the service's
-//! lock).
+//! Uses: `api`, `client`, `read_only`. Never: a second process that writes into a data folder (prevented by the
+//! service's lock); a command that only reads needs no lock.
 
 use std::net::{Ipv4Addr, SocketAddr};
 use std::panic::{AssertUnwindSafe, resume_unwind};
@@ -17,7 +17,7 @@ use super::read_only::View;
 use super::running::Running;
 use super::trust::Certificates;
 use super::{At, DEFAULT_URL};
-use crate::api::{ServeOptions, Service};
+use crate::api::{LockFileError, ServeError, ServeOptions, Service};
 use crate::conductor::AutoResume;
 
 /// Default number of threads for simulated twins: one keeps up with a rig at a hundred times real
@@ -127,7 +127,7 @@ fn options(data: PathBuf, rig: &RigFiles, purpose: Purpose) -> CliResult<ServeOp
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Purpose {
     /// It only reads: the service that is started for it makes nothing by itself, so that a look at the data does
-    /// not resume a training.
+    /// not resume a training. If another command uses the folder, the database is read while that one writes it.
     Reads,
     /// Its result leaves the folder. If the folder cannot be written, it works on a copy: it stores what it computes.
     Computes,
@@ -138,9 +138,9 @@ pub enum Purpose {
 /// Runs `work` with a running service, or with one started for it, which needs no rig.
 ///
 /// # Errors
-/// `CliError` if no service can be reached or started, or the error of `work`; `Problems` if it reads and the folder
-/// that was named does not exist, or stores and the folder cannot be written; `File` if a database that is read in place
-/// was changed meanwhile.
+/// `CliError` if no service can be reached or started, or the error of `work`; `Serve` if another command uses the folder
+/// and this one computes or stores; `Problems` if it reads and the folder that was named does not exist, or stores and the
+/// folder cannot be written; `File` if a database of a folder that cannot be written was changed meanwhile.
 pub async fn with_purpose<T>(
     at: &At,
     purpose: Purpose,
@@ -178,7 +178,7 @@ pub async fn command<A>(
     with_purpose(at, purpose, async |client| command(client, args).await).await
 }
 
-/// A service in this process, with the view of a data folder that it may only read.
+/// A service in this process, with the view of a data folder that it only reads.
 type OwnService = (Service, Option<View>);
 
 /// A running service, or one without a rig in this process.
@@ -191,6 +191,12 @@ async fn opened(at: &At, purpose: Purpose) -> CliResult<(Client, Option<OwnServi
         let limit = "there is no such folder: --data and PALPATE_DATA name the folder of the runs";
         return Err(CliError::in_file(&data, limit));
     }
+    let (client, own) = own_service(data, purpose).await?;
+    Ok((client, Some(own)))
+}
+
+/// A service without a rig in this process, on a data folder or on the view of it.
+async fn own_service(data: PathBuf, purpose: Purpose) -> CliResult<(Client, OwnService)> {
     if purpose == Purpose::Stores && View::is_needed(&data) {
         let limit = "cannot be written, and this command changes it: name a copy of it with --data, \
                      or a service with --url";
@@ -203,8 +209,23 @@ async fn opened(at: &At, purpose: Purpose) -> CliResult<(Client, Option<OwnServi
         }
         false => None,
     };
-    let (client, service) = started(data, view.as_ref(), purpose).await?;
-    Ok((client, Some((service, view))))
+    let begun = started(data.clone(), view.as_ref(), purpose).await;
+    // The folder of `serve` is read through it, or not at all: only it knows which of its runs is driven.
+    if purpose == Purpose::Reads && begun.as_ref().is_err_and(is_held) && !Running::is_there(&data)
+    {
+        let view = View::beside(&data).await.map_err(CliError::file(&data))?;
+        if let Some(view) = view {
+            let (client, service) = started(data, Some(&view), purpose).await?;
+            return Ok((client, (service, Some(view))));
+        }
+    }
+    let (client, service) = begun?;
+    Ok((client, (service, view)))
+}
+
+/// Whether another process has the lock of the data folder.
+fn is_held(error: &CliError) -> bool {
+    matches!(error, CliError::Serve(ServeError::Locked(LockFileError::Held { .. })))
 }
 
 /// Starts a service on a data folder, or on the view of it.
@@ -214,7 +235,7 @@ async fn started(
     purpose: Purpose,
 ) -> CliResult<(Client, Service)> {
     let folder = view.map_or(data, |view| view.folder().to_owned());
-    let in_place = view.and_then(|view| view.in_place().map(Path::to_owned));
+    let in_place = view.and_then(View::in_place);
     let options = ServeOptions { in_place, ..options(folder, &RigFiles::read(None)?, purpose)? };
     let service = shown_wait("opening the data folder", Service::start(options)).await?;
     match Client::new(&service.url(), None, None) {
@@ -303,6 +324,39 @@ mod tests {
             assert_eq!(read(folder.path()).await, expected);
             assert!(files(folder.path()) == before, "nothing is written");
         }
+    }
+
+    #[tokio::test]
+    async fn a_folder_that_another_command_uses_is_read_and_not_changed() {
+        let lab = tempfile::tempdir().unwrap();
+        let data = lab.path().to_owned();
+        let (_, first) = started(data.clone(), None, Purpose::Reads).await.unwrap();
+        let store = opened_store(&data).await;
+        add_run(&store).await;
+        store.close().await;
+        // As a command that adds a model leaves it meanwhile.
+        let model = data.join("models/mdl-0123456789abcdef");
+        std::fs::create_dir_all(&model).unwrap();
+        std::fs::write(model.join("_partial-1"), "a part of a net").unwrap();
+        let (client, (second, view)) = own_service(data.clone(), Purpose::Reads).await.unwrap();
+        let trials: Value = client.get("/api/v1/trials?limit=9").await.unwrap();
+        assert_eq!(trials["items"].as_array().unwrap().len(), 1);
+        second.shutdown().await;
+        assert_eq!(view.unwrap().changed(), None);
+        assert!(model.join("_partial-1").exists(), "the first command needs it");
+        let refused = async |purpose: Purpose| {
+            let refused = own_service(data.clone(), purpose).await.map(|_| ());
+            let words = refused.unwrap_err().to_string();
+            assert!(words.contains("in use by process"), "{purpose:?}: {words}");
+        };
+        refused(Purpose::Computes).await;
+        refused(Purpose::Stores).await;
+        let process = std::process::id().cast_signed();
+        let url = "https://10.0.0.5:8080".to_owned();
+        Running { url, process, certificate: None }.write(&data).unwrap();
+        // It is `palpate serve`, at an address that is not asked.
+        refused(Purpose::Reads).await;
+        first.shutdown().await;
     }
 
     #[test]

@@ -1,5 +1,5 @@
-//! A data folder that cannot be written: a temporary folder with links to its files, so that everything that reads or
-//! computes works as usual. Its database is read in place, or copied if that is not safe.
+//! A data folder that cannot be written, or that another process uses: a temporary folder with links to its files, so that
+//! everything that reads or computes works as usual. Its database is read in place, or copied if that is not safe.
 //! Uses: std's files, `store` (whether a database is current). Never: a change to the folder.
 
 use std::fs::Permissions;
@@ -14,7 +14,7 @@ use uuid::Uuid;
 use super::output::{bytes, note};
 use super::running::is_alive;
 use crate::new_file::make_folder;
-use crate::store::Store;
+use crate::store::{Sharing, Store};
 
 /// Begin of the names of the temporary folders, before the id of their process.
 const VIEWS: &str = "palpate-view-";
@@ -33,11 +33,12 @@ pub struct View {
     in_place: Option<InPlace>,
 }
 
-/// A database that is read in place, as it was before.
+/// A database that is read in place.
 #[derive(Debug)]
 struct InPlace {
     database: PathBuf,
-    before: Before,
+    /// As it was before; `None` if another process writes it.
+    before: Option<Before>,
 }
 
 /// What changes when a process opens or writes a database.
@@ -79,12 +80,25 @@ impl View {
     /// # Errors
     /// The operating system's if the folder cannot be read, or the view not written.
     pub async fn of(data: &Path, only_reads: bool) -> io::Result<Self> {
-        let database = data.canonicalize()?.join(DATABASE[0]);
-        // The log is next to the target of a link.
-        let database = database.canonicalize().unwrap_or(database);
+        let database = database(data)?;
         let before = Before::of(&database);
-        let is_in_place = only_reads && !before.has_log && Store::is_current(&database).await;
-        Self::make(data, is_in_place.then_some(InPlace { database, before }))
+        let is_in_place = only_reads
+            && !before.has_log
+            && Store::is_current(&database, Sharing::Unchanged).await;
+        Self::make(data, is_in_place.then_some(InPlace { database, before: Some(before) }))
+    }
+
+    /// Makes the view of a folder that another process uses, for a command that stores nothing. `None` if its database
+    /// cannot be read meanwhile: it is not there yet, or has the tables of another version.
+    ///
+    /// # Errors
+    /// The operating system's if the folder cannot be read, or the view not written.
+    pub async fn beside(data: &Path) -> io::Result<Option<Self>> {
+        let database = database(data)?;
+        if !Store::is_current(&database, Sharing::Written).await {
+            return Ok(None);
+        }
+        Self::make(data, Some(InPlace { database, before: None })).map(Some)
     }
 
     fn make(data: &Path, in_place: Option<InPlace>) -> io::Result<Self> {
@@ -112,10 +126,15 @@ impl View {
                 // The copy has the rights of the original.
                 std::fs::set_permissions(&copy, Permissions::from_mode(0o600))?;
             } else if entry.path().is_dir() && !is(&LEFT_OUT) {
+                let inside = match entry.path().read_dir() {
+                    // The process that uses the folder has removed it.
+                    Err(error) if error.kind() == io::ErrorKind::NotFound => continue,
+                    inside => inside?,
+                };
                 // A folder of links: an export or a dataset that is made next to them does not reach the data.
                 let folder = view.folder.join(&name);
                 make_folder(&folder)?;
-                for entry in entry.path().read_dir()? {
+                for entry in inside {
                     let entry = entry?;
                     symlink(entry.path(), folder.join(entry.file_name()))?;
                 }
@@ -131,16 +150,19 @@ impl View {
         &self.folder
     }
 
-    /// The database that is read in place; `None` if the folder has a copy.
-    pub fn in_place(&self) -> Option<&Path> {
-        self.in_place.as_ref().map(|it| it.database.as_path())
+    /// The database that is read in place, and its use by other processes; `None` if the folder has a copy.
+    pub fn in_place(&self) -> Option<(PathBuf, Sharing)> {
+        let it = self.in_place.as_ref()?;
+        let sharing = if it.before.is_some() { Sharing::Unchanged } else { Sharing::Written };
+        Some((it.database.clone(), sharing))
     }
 
-    /// The database that is read in place, if another process has opened or written it since the view was made: what
-    /// was read may be a mixture.
+    /// The database that is read in place as one that does not change, if another process has opened or written it since
+    /// the view was made: what was read may be a mixture.
     pub fn changed(&self) -> Option<PathBuf> {
         let it = self.in_place.as_ref()?;
-        (Before::of(&it.database) != it.before).then(|| it.database.clone())
+        let before = it.before.as_ref()?;
+        (Before::of(&it.database) != *before).then(|| it.database.clone())
     }
 }
 
@@ -149,6 +171,12 @@ impl Drop for View {
         // Links are removed, not what they lead to.
         let _ = std::fs::remove_dir_all(&self.folder);
     }
+}
+
+/// The database of a data folder. The log is next to the target of a link.
+fn database(data: &Path) -> io::Result<PathBuf> {
+    let database = data.canonicalize()?.join(DATABASE[0]);
+    Ok(database.canonicalize().unwrap_or(database))
 }
 
 /// Removes the views of processes that were killed.
@@ -175,11 +203,11 @@ mod tests {
         std::fs::write(&database, "trials").unwrap();
         std::fs::write(folder.path().join("notes.txt"), "a note").unwrap();
         let view = || {
-            let before = Before::of(&database);
-            View::make(folder.path(), Some(InPlace { database: database.clone(), before })).unwrap()
+            let (database, before) = (database.clone(), Some(Before::of(&database)));
+            View::make(folder.path(), Some(InPlace { database, before })).unwrap()
         };
         let opened = view();
-        assert_eq!(opened.in_place(), Some(&*database));
+        assert_eq!(opened.in_place(), Some((database.clone(), Sharing::Unchanged)));
         assert!(opened.folder().join("notes.txt").exists());
         assert!(!opened.folder().join("palpate.db").exists());
         assert_eq!(opened.changed(), None);

@@ -31,7 +31,7 @@ pub use crate::core::error::{StoreError, StoreResult};
 pub use crate::core::facts::{Label, RunKind};
 pub use crate::core::keys::{KEYLESS, KEYLESS_SUFFIX, Key, KeyRing, KeyRow, Role};
 pub use crate::core::once::{OnceKey, OnceResponse, OnceRow};
-pub use crate::core::store::{Soundness, Store};
+pub use crate::core::store::{Sharing, Soundness, Store};
 pub use bench::actions::{ActionRow, NewAction};
 pub use bench::attempts::SkipRow;
 pub use bench::counts::SettingCount;

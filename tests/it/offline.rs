@@ -1,12 +1,49 @@
-//! Keys and lock without a running service, and what needs no rig next to the service that has it.
+//! Keys and lock without a running service, what needs no rig next to the service that has it, and what only reads next
+//! to a command that uses the folder.
+
+use std::path::Path;
+use std::process::Output;
 
 use palpate::api::{LockFile, Offline};
 use palpate::rig::setup::RigSetup;
 use palpate::store::Role;
-use serde_json::json;
+use serde_json::{Value, json};
 
-use super::datasets::filled::{Filled, folder, rig, store};
-use crate::support::answered;
+use super::datasets::filled::{Filled, copy_filled, folder, rig, store};
+use crate::support::{answered, command, finished, not_done, succeeded};
+
+/// Runs a command on a data folder to its end.
+async fn on(data: &Path, arguments: &[&str]) -> Output {
+    let data = data.to_str().unwrap();
+    finished(command(&[arguments, &["--data", data]].concat())).await
+}
+
+/// Number of items that a command on a data folder lists.
+async fn listed(data: &Path, arguments: &[&str]) -> usize {
+    let output = on(data, &[arguments, &["--json"]].concat()).await;
+    let list: Value = serde_json::from_str(&succeeded(&output)).unwrap();
+    list["items"].as_array().unwrap().len()
+}
+
+#[tokio::test]
+async fn a_command_that_only_reads_works_while_another_one_uses_the_folder() {
+    let data = folder("offline-beside");
+    copy_filled(&data).await;
+    // As `palpate evaluate` starts one: it has no address in the folder.
+    let first = Filled::serve_as(data.clone(), |options| options.desk = true).await;
+    assert_eq!(listed(&data, &["runs"]).await, 2);
+    assert_eq!(listed(&data, &["trials", "1", "--limit", "3"]).await, 3);
+    // The first command stores more.
+    let definition = include_str!("../../experiments/quickstart.toml");
+    let run = json!({ "file": "q.toml", "definition": definition, "who": "ada" });
+    first.posted("/api/v1/queue", run, 201).await;
+    assert_eq!(listed(&data, &["runs"]).await, 3);
+    let holder = format!("in use by process {}", std::process::id());
+    not_done(&on(&data, &["dataset", "make", "run-1"]).await, 1, &holder);
+    let serve = ["serve", "--desk", "--bind", "127.0.0.1:0"];
+    not_done(&on(&data, &serve).await, 1, &holder);
+    first.close().await;
+}
 
 #[tokio::test]
 async fn a_service_without_a_rig_works_next_to_the_one_that_has_it() {

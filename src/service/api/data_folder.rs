@@ -1,4 +1,4 @@
-//! The data folder: one process uses it, and other users of the machine see nothing of it.
+//! The data folder: one process writes into it, and other users of the machine see nothing of it.
 //! Uses: std's files, `new_file`, `LockFile`. Never: a change to a folder of another user.
 
 use std::fs::Permissions;

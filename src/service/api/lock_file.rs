@@ -1,4 +1,4 @@
-//! Lock files: only one process uses a data folder, only one process uses a rig.
+//! Lock files: only one process writes into a data folder, only one process uses a rig.
 //! Uses: the system's file locks, which a crash releases. Never: a stale file that must be deleted; a
 //! file behind a symbolic link.
 //!

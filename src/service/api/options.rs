@@ -13,7 +13,7 @@ use crate::dataset::error::DatasetError;
 use crate::infer::error::InferError;
 use crate::journal::error_chain;
 use crate::plain::system_words;
-use crate::store::StoreError;
+use crate::store::{Sharing, StoreError};
 
 /// Options of a service.
 #[derive(Debug, Clone)]
@@ -22,9 +22,9 @@ pub struct ServeOptions {
     pub bind: SocketAddr,
     /// Data folder.
     pub data: PathBuf,
-    /// Database that is only read, where it is, instead of the one in the data folder: current, and changed by no
-    /// process (`Store::read_in_place`).
-    pub in_place: Option<PathBuf>,
+    /// Database that is only read, where it is, instead of the one in the data folder, and its use by other processes;
+    /// its tables are current (`Store::read_in_place`).
+    pub in_place: Option<(PathBuf, Sharing)>,
     /// Name of the rig file in messages.
     pub rig_file: String,
     /// Text of the rig file.

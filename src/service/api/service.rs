@@ -75,7 +75,9 @@ impl Service {
         }
         let (database, clock) = (data_folder::database(&options.data), Clock::new(1.0));
         let store = match &options.in_place {
-            Some(in_place) => Store::read_in_place(in_place, &database, clock).await?,
+            Some((in_place, sharing)) => {
+                Store::read_in_place(in_place, *sharing, &database, clock).await?
+            }
             None => Store::open(&database, clock).await?,
         };
         if options.resume == AutoResume::Later {

@@ -56,6 +56,25 @@ pub enum Soundness {
     Damaged(Vec<String>),
 }
 
+/// Use of a database by other processes while this one only reads it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Sharing {
+    /// No process changes it: it is read without a lock, its log, or any other file next to it.
+    Unchanged,
+    /// Another process writes it: it is read with its log, as by the connections of that process.
+    Written,
+}
+
+impl Sharing {
+    /// What SQLite opens for a database.
+    fn address(self, database: &Path) -> PathBuf {
+        match self {
+            Self::Unchanged => unchanging(database),
+            Self::Written => database.to_owned(),
+        }
+    }
+}
+
 /// The database of a rig. Clones share its connections.
 #[derive(Clone)]
 pub struct Store {
@@ -118,23 +137,27 @@ impl Store {
         Self::with(path, path, writer, clock).await
     }
 
-    /// Opens a current database ([`Self::is_current`]) that no process changes, where it is, and only reads it: without
-    /// a thread that writes, a lock, its log, or any other file next to it.
+    /// Opens a current database ([`Self::is_current`]) where it is, and only reads it, without a thread that writes.
     ///
     /// `database`: path of the file. `path`: path that [`Self::path`] returns, in the folder of what is computed.
     ///
     /// # Errors
     /// `Open` if the file cannot be read.
-    pub async fn read_in_place(database: &Path, path: &Path, clock: Clock) -> StoreResult<Self> {
-        Self::with(path, &unchanging(database), Writer::none(), clock).await
+    pub async fn read_in_place(
+        database: &Path,
+        sharing: Sharing,
+        path: &Path,
+        clock: Clock,
+    ) -> StoreResult<Self> {
+        Self::with(path, &sharing.address(database), Writer::none(), clock).await
     }
 
-    /// Whether a file that no process changes is a database with exactly the tables of this version; false also if it
-    /// cannot be read. Writes nothing.
-    pub async fn is_current(database: &Path) -> bool {
+    /// Whether a file is a database with exactly the tables of this version; false also if it cannot be read. Writes
+    /// nothing into it.
+    pub async fn is_current(database: &Path, sharing: Sharing) -> bool {
         const OPERATION: &str = "comparing the migrations with those of this version";
         let compared = async {
-            let reading = options(&unchanging(database)).read_only(true);
+            let reading = options(&sharing.address(database)).read_only(true);
             let mut connection = reading.connect().await.during(OPERATION)?;
             require_columns(&mut connection, &MIGRATIONS).await?;
             migrations::are_applied(&mut connection).await.during(OPERATION)

@@ -1,4 +1,5 @@
-//! A database that is only read, where it is: nothing is written next to it, and other versions are recognised.
+//! A database that is only read, where it is: nothing is written next to it unless another process writes it, and other
+//! versions are recognised.
 //! Uses: `store`. Never: the permissions of a folder, which root does not have to respect.
 
 use std::collections::BTreeMap;
@@ -7,7 +8,7 @@ use std::path::{Path, PathBuf};
 use super::{Folder, execute, fresh, hex_trial, new_run, open};
 use crate::clock::Clock;
 use crate::journal::Journal;
-use crate::{RunKind, Soundness, Store, StoreError, TrialQuery};
+use crate::{RunKind, Sharing, Soundness, Store, StoreError, TrialQuery};
 
 fn files(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     let paths = folder.read_dir().unwrap().map(|entry| entry.unwrap().path());
@@ -26,10 +27,10 @@ async fn a_database_is_read_in_place_and_nothing_is_written() {
     store.trial(run, &hex_trial(0, 0, &[9.0, 7.5])).await.unwrap();
     store.close().await;
     let before = files(&data);
-    assert!(Store::is_current(&database).await);
+    assert!(Store::is_current(&database, Sharing::Unchanged).await);
 
     let path = folder.0.path().join("elsewhere.db");
-    let store = Store::read_in_place(&database, &path, Clock::new(1.0)).await.unwrap();
+    let store = Store::read_in_place(&database, Sharing::Unchanged, &path, Clock::new(1.0)).await.unwrap();
     assert_eq!(store.path(), path);
     let query = TrialQuery { limit: 9, ..TrialQuery::default() };
     assert_eq!(store.trials(&query).await.unwrap().len(), 1);
@@ -42,15 +43,42 @@ async fn a_database_is_read_in_place_and_nothing_is_written() {
 }
 
 #[tokio::test]
+async fn a_database_is_read_with_its_log_while_it_is_written() {
+    let (folder, store) = fresh().await;
+    let run = store.create_run(new_run(RunKind::RealHex)).await.unwrap().uid;
+    store.trial(run, &hex_trial(0, 0, &[9.0, 7.5])).await.unwrap();
+    let (database, path) = (folder.file(), folder.0.path().join("elsewhere.db"));
+    assert!(Store::is_current(&database, Sharing::Written).await);
+    let reading = Store::read_in_place(&database, Sharing::Written, &path, Clock::new(1.0)).await.unwrap();
+    let query = TrialQuery { limit: 9, ..TrialQuery::default() };
+    assert_eq!(reading.trials(&query).await.unwrap().len(), 1);
+    store.trial(run, &hex_trial(0, 1, &[9.0, 7.5])).await.unwrap();
+    assert_eq!(reading.trials(&query).await.unwrap().len(), 2);
+    let refused = reading.set_lock("Ada", "").await;
+    assert!(matches!(refused, Err(StoreError::ReadOnly { .. })), "{refused:?}");
+    // The process that writes ends first, and the next one begins.
+    store.close().await;
+    let store = open(&database).await;
+    store.trial(run, &hex_trial(0, 2, &[9.0, 7.5])).await.unwrap();
+    assert_eq!(reading.trials(&query).await.unwrap().len(), 3);
+    reading.close().await;
+    store.close().await;
+}
+
+async fn is_current(folder: &Folder) -> bool {
+    Store::is_current(&folder.file(), Sharing::Unchanged).await
+}
+
+#[tokio::test]
 async fn only_a_database_of_this_version_is_current() {
     let folder = Folder::new();
-    assert!(!Store::is_current(&folder.file()).await, "there is none");
+    assert!(!is_current(&folder).await, "there is none");
     folder.make_before(26, &[]).await;
     let before = files(folder.0.path());
-    assert!(!Store::is_current(&folder.file()).await, "it is older");
+    assert!(!is_current(&folder).await, "it is older");
     assert!(files(folder.0.path()) == before);
     open(&folder.file()).await.close().await;
-    assert!(Store::is_current(&folder.file()).await, "it is migrated");
+    assert!(is_current(&folder).await, "it is migrated");
 
     let (folder, store) = fresh().await;
     execute(
@@ -60,5 +88,5 @@ async fn only_a_database_of_this_version_is_current() {
     )
     .await;
     store.close().await;
-    assert!(!Store::is_current(&folder.file()).await, "it is newer");
+    assert!(!is_current(&folder).await, "it is newer");
 }

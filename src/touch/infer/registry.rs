@@ -193,14 +193,15 @@ struct Inner {
 }
 
 impl Registry {
-    /// Opens the models of a data folder. Incomplete folders of a killed process are removed.
+    /// Opens the models of a data folder. Incomplete files of a killed process are removed, except behind a link: they may
+    /// be those of a process that runs.
     ///
     /// # Errors
-    /// `InferError::File` if an incomplete folder cannot be removed.
+    /// `InferError::File` if an incomplete file cannot be removed.
     pub fn open(store: Store, data: &Path, clock: Clock) -> InferResult<Self> {
         let folder = data.join("models");
         let entries = fs::read_dir(&folder).into_iter().flatten().flatten();
-        for entry in entries.filter(|entry| entry.path().is_dir()) {
+        for entry in entries.filter(|entry| entry.file_type().is_ok_and(|kind| kind.is_dir())) {
             sweep(&entry.path()).map_err(InferError::file("sweeping", &folder))?;
         }
         Ok(Self { inner: Arc::new(Inner { store, folder, clock, loaded: Mutex::default() }) })
