@@ -216,8 +216,9 @@ async fn converse(
         if let Some(peer) = peer {
             request.extensions_mut().insert(peer);
         }
-        let stops = is_stop(request.uri().path());
-        begun(answer(handlers.clone(), answering.clone(), request), stops)
+        let path = request.uri().path();
+        let halts = is_stop(path) || is_halt(path);
+        begun(answer(handlers.clone(), answering.clone(), request), halts)
     });
     let mut http = http1::Builder::new();
     http.max_headers(HYPER_FIELDS);
@@ -243,8 +244,8 @@ async fn converse(
     }
 }
 
-/// An answer. That of a stop is begun `at_once`: hyper drops an answer that it has not polled yet if the client has
-/// closed the connection.
+/// An answer. That of a request which stops, pauses or ends something is begun `at_once`: hyper drops an answer that it
+/// has not polled yet if the client has closed the connection, although head and body have arrived.
 fn begun<T>(answer: impl Future<Output = T>, at_once: bool) -> impl Future<Output = T> {
     let mut answer = Box::pin(answer);
     let first = at_once.then(|| answer.as_mut().poll(&mut Context::from_waker(Waker::noop())));
