@@ -1,6 +1,6 @@
 //! Brings the rig up for a run of the earlier process: opens the wires and homes, until a person comes to the rig.
-//! Uses: `conductor::{take_over, stopped}`, `campaign` (its handle), `store` (an event). Never: motion except through the
-//! campaign, HTTP.
+//! Uses: `conductor::{take_over, stopped}`, `campaign` (its handle), `store` (an event).
+//! Never: motion except through the campaign, HTTP.
 
 use std::time::Duration;
 
@@ -89,15 +89,15 @@ impl Conductor {
         }
     }
 
-    /// Ends the homing for a run, since a person comes to the rig. If the campaign does not answer, the e-stop stops each
-    /// axis.
+    /// Ends the homing for a run, since a person comes to the rig. If the campaign does not answer while it homes, the
+    /// e-stop is pressed; once the homing has ended it is not, since it would hold the tips down.
     async fn end_homing(&self, run: &RunRow) {
         // Refused otherwise only if nothing moves any more.
         if self.halt(Request::Abort).await != Err(Refusal::Gone) {
             return;
         }
         let status = self.inner.campaign.status();
-        if status.run.is_some() || status.rig.state != RigState::Disarmed {
+        if status.run.is_some() || status.rig.motion != Some(Motion::Homing) {
             return;
         }
         let gone = Refusal::Gone;
@@ -200,6 +200,17 @@ mod tests {
         let noted = noted.await.unwrap();
         let words = format!("{why}; the e-stop was pressed");
         assert_eq!((noted.len(), noted[0].data["why"].as_str()), (1, Some(words.as_str())));
+    }
+
+    #[tokio::test]
+    async fn no_e_stop_is_pressed_if_the_homing_has_ended_and_the_campaign_does_not_answer() {
+        let (conductor, inbox, _folder) = conductor().await;
+        let [run, _next] = earlier(&conductor).await;
+        // The tips may be raised.
+        inbox.status.send_modify(|status| status.rig.state = RigState::Disarmed);
+        drop(inbox);
+        conductor.end_homing(&run).await;
+        assert!(conductor.inner.campaign.stop_switch().pressed().is_none());
     }
 
     #[tokio::test]
