@@ -165,18 +165,19 @@ async fn an_abort_during_a_tare_waits_for_no_frame() {
 
 #[tokio::test]
 async fn a_moving_axis_that_loses_its_zero_or_its_motor_ends_the_motion_before_its_deadline() {
+    type Change = fn(&mut AxisStatus);
     let restarts = |axis: &mut AxisStatus| axis.homed = false;
     let is_off = |axis: &mut AxisStatus| axis.ready = false;
     // A drive that has restarted may report its target.
     let restarts_there =
         |axis: &mut AxisStatus| (axis.position, axis.moving, axis.homed) = (100.0, false, false);
-    let fails: [(fn(&mut AxisStatus), TripKind, &str); 3] = [
+    let losses: [(Change, TripKind, &str); 3] = [
         (restarts, TripKind::Position, "is not homed any more"),
         (restarts_there, TripKind::Position, "is not homed any more"),
         (is_off, TripKind::Device, "is not ready, without an alarm"),
     ];
     for name in [AxisName::X, AxisName::Y, AxisName::Z, AxisName::Radial] {
-        for (change, kind, words) in fails {
+        for (change, kind, words) in losses {
             let (axes, mut engine) = engine();
             let axis = match name {
                 AxisName::X => &axes.x,
