@@ -41,10 +41,17 @@ async fn a_folder_is_taken_over_although_its_database_refuses_writes_at_first() 
         "what an import has left is removed at the next start",
         "the earlier runs are not taken over yet",
     );
-    logged("the earlier runs are not taken over yet", "no run was resumed");
+    let (not_yet, in_memory) =
+        ("the earlier runs are not taken over yet", "a waiting run is dropped in memory only");
+    logged(not_yet, in_memory);
     execute(&folder, "DROP TRIGGER no_mark;").await;
-    logged("a waiting run is dropped in memory only", "no run was resumed");
-    let (client, killed) = (http(), format!("{url}/api/v1/runs/2"));
-    let killed = async || answered(client.get(&killed)).await.1;
-    until("the mark", LIMIT, killed, |run| run["state"] == "interrupted").await;
+    logged(not_yet, in_memory);
+    let client = http();
+    let run =
+        async |scan_id: u32| answered(client.get(format!("{url}/api/v1/runs/{scan_id}"))).await.1;
+    // The next process must find why the other run does not begin.
+    assert_eq!(run(2).await["state"], "running");
+    execute(&folder, "DROP TRIGGER no_drop;").await;
+    until("the mark", LIMIT, async || run(2).await, |run| run["state"] == "interrupted").await;
+    assert!(run(3).await["waiting_since"].is_null());
 }

@@ -366,6 +366,10 @@ impl<D: Drive> Axis for ModbusAxis<D> {
             let device = self.station.device().to_owned();
             return Err(RigError::OutsideTravel { device, target, min, max });
         }
+        // The smaller of NaN and the travelling speed is the travelling speed.
+        if speed.is_nan() || speed <= 0.0 {
+            return Err(self.station.not_ready("move", format!("its speed is {speed}")));
+        }
         let scale = self.profile.counts_per_unit;
         let order = MoveOrder {
             target: (target * scale).round() as i32,
@@ -407,5 +411,34 @@ impl<D: Drive> Axis for ModbusAxis<D> {
             self.station.write("alarm reset", request).await?;
         }
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::rig::config::RigConfig;
+    use crate::rig::link::{LineCounts, StopLatch};
+    use crate::rig::registry;
+
+    #[tokio::test]
+    async fn a_motion_without_a_speed_or_to_a_target_outside_the_travel_is_not_sent() {
+        let text = include_str!("../../../experiments/rigs/virtual.toml");
+        // Nobody listens there.
+        let text = text.replace("\"127.0.0.1:50", "\"127.0.0.1:1");
+        let config = RigConfig::from_toml("virtual.toml", &text).unwrap();
+        let open = registry::open(&config, &Clock::new(1.0), &StopLatch::default()).unwrap();
+        for axis in open.bench.axes() {
+            let [min, max] = axis.travel();
+            for speed in [f64::NAN, 0.0, -1.0] {
+                let refused = axis.start_move(max, speed).await;
+                assert!(matches!(refused, Err(RigError::NotReady { .. })), "{refused:?}");
+            }
+            for target in [f64::NAN, f64::INFINITY, min - 0.1, max + 0.1] {
+                let refused = axis.start_move(target, 1.0).await;
+                assert!(matches!(refused, Err(RigError::OutsideTravel { .. })), "{refused:?}");
+            }
+        }
+        assert!(open.lines.values().all(|line| line.counts() == LineCounts::default()));
     }
 }

@@ -101,8 +101,8 @@ pub trait Axis: Send + Sync {
     async fn prepare(&self) -> Result<String, RigError>;
     /// Starts homing, which finds the zero of the axis; does not wait for its end.
     async fn start_home(&self) -> Result<(), RigError>;
-    /// Starts an absolute motion. A target outside the soft limits is refused before any byte is
-    /// sent.
+    /// Starts an absolute motion. A target outside the soft limits, or a speed that is not positive, is refused before any
+    /// byte is sent.
     async fn start_move(&self, target: f64, speed: f64) -> Result<(), RigError>;
     /// Reads position and state.
     async fn status(&self) -> Result<AxisStatus, RigError>;

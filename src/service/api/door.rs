@@ -16,6 +16,7 @@
 use std::io;
 use std::pin::pin;
 use std::sync::Arc;
+use std::task::{Context, Poll, Waker};
 use std::thread;
 use std::time::Duration;
 
@@ -215,7 +216,9 @@ async fn converse(
         if let Some(peer) = peer {
             request.extensions_mut().insert(peer);
         }
-        answer(handlers.clone(), answering.clone(), request)
+        let path = request.uri().path();
+        let halts = is_stop(path) || is_halt(path);
+        begun(answer(handlers.clone(), answering.clone(), request), halts)
     });
     let mut http = http1::Builder::new();
     http.max_headers(HYPER_FIELDS);
@@ -241,6 +244,19 @@ async fn converse(
     }
 }
 
+/// An answer. That of a request which stops, pauses or ends something is begun `at_once`: hyper drops an answer that it
+/// has not polled yet if the client has closed the connection, although head and body have arrived.
+fn begun<T>(answer: impl Future<Output = T>, at_once: bool) -> impl Future<Output = T> {
+    let mut answer = Box::pin(answer);
+    let first = at_once.then(|| answer.as_mut().poll(&mut Context::from_waker(Waker::noop())));
+    async move {
+        match first {
+            Some(Poll::Ready(answered)) => answered,
+            Some(Poll::Pending) | None => answer.await,
+        }
+    }
+}
+
 async fn answer(
     handlers: Handlers,
     seat: Arc<Seat>,
@@ -258,7 +274,8 @@ async fn answer(
         let response = ApiError::new(StatusCode::SERVICE_UNAVAILABLE, words).into_response();
         response.map(|body| Sent::new(body, (request_guard, None)))
     } else {
-        let (response, work) = work::handle(&threads, router, request).await?;
+        let halts = is_halt(path);
+        let (response, work) = work::handle(&threads, router, request, halts).await?;
         response.map(|body| Sent::new(body, (request_guard, Some(work))))
     };
     if only_for_stops {
@@ -274,15 +291,61 @@ fn is_stop(path: &str) -> bool {
     matches!(path, "/estop" | "/api/v1/estop")
 }
 
+/// Whether a request to this address may pause or end a run or a motion.
+fn is_halt(path: &str) -> bool {
+    let of_run = path.strip_prefix("/api/v1/runs/");
+    path == "/api/v1/rig/abort" || of_run.is_some_and(|rest| rest.ends_with("/actions"))
+}
+
 #[cfg(test)]
 mod tests {
     use std::io::{Read, Write};
     use std::net;
+    use std::sync::atomic::{AtomicBool, Ordering};
 
     use axum::routing::post;
 
     use super::*;
+    use crate::api::access::Lock;
     use crate::api::limits::HEAD_WITHIN;
+    use crate::api::routes::{AllNeeds, table};
+
+    #[test]
+    fn what_halts_is_what_waits_for_no_other_request() {
+        let all = AllNeeds::of(&table());
+        for (_, path, needs) in all.iter() {
+            let halts = matches!(needs.lock, Lock::RefusesSome | Lock::Stops);
+            assert_eq!(is_halt(path), halts, "{path}");
+        }
+    }
+
+    #[tokio::test]
+    async fn a_stop_and_an_abort_are_carried_out_although_the_client_disconnects_at_once() {
+        for (path, body) in [("/estop", ""), ("/api/v1/rig/abort", "{}")] {
+            let listener = net::TcpListener::bind("127.0.0.1:0").unwrap();
+            let mut client = net::TcpStream::connect(listener.local_addr().unwrap()).unwrap();
+            let length = format!("content-length: {}", body.len());
+            let head = format!("POST {path} HTTP/1.1\r\nhost: localhost\r\n{length}\r\n\r\n");
+            client.write_all(format!("{head}{body}").as_bytes()).unwrap();
+            let (accepted, _) = listener.accept().unwrap();
+            drop(client);
+            accepted.set_nonblocking(true).unwrap();
+            let carried_out = Arc::<AtomicBool>::default();
+            let noted = carried_out.clone();
+            let act = move |_: String| async move { noted.store(true, Ordering::SeqCst) };
+            let router = Router::new().route(path, post(act));
+            let handlers = Handlers { router, tls: None, threads: runtime::Handle::current() };
+            let seat = Seats::default().take(Instant::now());
+            let (_ending, ends) = watch::channel(false);
+            attend(TcpStream::from_std(accepted).unwrap(), seat, handlers, ends).await;
+            let is_done = async {
+                while !carried_out.load(Ordering::SeqCst) {
+                    sleep(Duration::from_millis(1)).await;
+                }
+            };
+            timeout(Duration::from_secs(10), is_done).await.expect(path);
+        }
+    }
 
     #[tokio::test]
     async fn a_stop_that_has_arrived_is_answered_although_its_connection_is_closed_unread() {

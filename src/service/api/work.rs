@@ -18,13 +18,14 @@ use tracing::{Instrument, Span};
 /// Largest number of pieces of a response that wait for the door.
 const PIECES_AHEAD: usize = 2;
 
-/// The task that produces a response; it is aborted when this value is dropped.
+/// The task that produces a response; it is aborted when this value is dropped, unless it halts what moves.
 pub struct Work {
     _task: JoinSet<()>,
 }
 
 /// Handles a request on a runtime. A streamed body is also produced there, at the pace of its
-/// client.
+/// client. `halts`: whether it may pause or end what moves: once its body has arrived it is carried out, also if its
+/// client disconnects.
 ///
 /// # Errors
 /// If the handler panics, or the runtime has ended.
@@ -32,6 +33,7 @@ pub async fn handle(
     runtime: &Handle,
     mut router: Router,
     request: Request<Incoming>,
+    halts: bool,
 ) -> io::Result<(Response<Body>, Work)> {
     let (answer, answered) = oneshot::channel();
     let mut task = JoinSet::new();
@@ -59,7 +61,11 @@ pub async fn handle(
         };
         streaming.instrument(span).await;
     };
-    task.spawn_on(work, runtime);
+    if halts {
+        runtime.spawn(work);
+    } else {
+        task.spawn_on(work, runtime);
+    }
     let response =
         answered.await.map_err(|_| io::Error::other("a request ended without a response"))?;
     Ok((response, Work { _task: task }))

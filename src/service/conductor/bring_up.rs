@@ -1,8 +1,10 @@
 //! Brings the rig up for a run of the earlier process: opens the wires and homes, until a person comes to the rig.
-//! Uses: `conductor::take_over` (since when none came), `campaign` (its handle). Never: motion except through it, HTTP.
+//! Uses: `conductor::{take_over, stopped}`, `campaign` (its handle), `store` (an event).
+//! Never: motion except through the campaign, HTTP.
 
 use std::time::Duration;
 
+use serde_json::json;
 use tokio::time::Instant;
 
 use super::take_over::Unattended;
@@ -57,8 +59,7 @@ impl Conductor {
             let rig = campaign.status().rig;
             if !self.is_brought_up(run.uid) || self.is_operated_since_start(run.uid) {
                 if rig.state == RigState::Disarmed {
-                    // Refused if nothing moves any more.
-                    let _ = campaign.ask(Request::Abort).await;
+                    self.end_homing(run).await;
                 }
                 self.require_not_operated(run.uid)?;
                 return Err(Refusal::State("the run was aborted or held".into()).into());
@@ -72,9 +73,9 @@ impl Conductor {
                 RigState::Disconnected | RigState::Disarmed | RigState::Armed => {
                     let taken = tokio::time::timeout(HOMING_POLL, &mut locked).await;
                     if let Ok(refused) = taken {
-                        // Refused if nothing moves any more. A run that has begun meanwhile continues.
+                        // A run that has begun meanwhile continues.
                         if campaign.status().run.is_none() {
-                            let _ = campaign.ask(Request::Abort).await;
+                            self.end_homing(run).await;
                         }
                         return Err(refused);
                     }
@@ -86,6 +87,25 @@ impl Conductor {
                 return Err(Refusal::State(words).into());
             }
         }
+    }
+
+    /// Ends the homing for a run, since a person comes to the rig. If the campaign does not answer while it homes, the
+    /// e-stop is pressed; once the homing has ended it is not, since it would hold the tips down.
+    async fn end_homing(&self, run: &RunRow) {
+        // Refused otherwise only if nothing moves any more.
+        if self.halt(Request::Abort).await != Err(Refusal::Gone) {
+            return;
+        }
+        let status = self.inner.campaign.status();
+        if status.run.is_some() || status.rig.motion != Some(Motion::Homing) {
+            return;
+        }
+        let gone = Refusal::Gone;
+        let why = format!("the homing for run {} could not be aborted: {gone}", run.scan_id);
+        self.inner.campaign.estop(&why);
+        tracing::error!(why, "the e-stop was pressed");
+        self.say(run, "not_resumed", json!({ "why": format!("{why}; the e-stop was pressed") }))
+            .await;
     }
 
     /// Waits until a person has taken an operator lock that refuses this run, which then must be started again. A store
@@ -156,6 +176,41 @@ mod tests {
         assert!(words.starts_with("bob has taken the operator lock: hands in the rig"), "{words}");
         assert_eq!(conductor.present(&run).await.unwrap().state, StoredState::Interrupted);
         assert!(conductor.why_dropped(next.uid).is_some());
+    }
+
+    #[tokio::test]
+    async fn a_homing_that_cannot_be_aborted_is_stopped_by_the_e_stop_and_an_event_states_it() {
+        let (conductor, inbox, _folder) = conductor().await;
+        let [run, _next] = earlier(&conductor).await;
+        let before = Unattended { since: Some(Timestamp::UNIX_EPOCH), signs: 0 };
+        *conductor.inner.brought_up.lock() = Some(run.uid);
+        inbox.status.send_modify(|status| {
+            (status.rig.state, status.rig.motion) = (RigState::Disarmed, Some(Motion::Homing));
+        });
+        conductor.inner.store.set_lock("bob", "hands in the rig").await.unwrap();
+        // It takes no request any more.
+        drop(inbox);
+        let watched = conductor.watch_homing(&run, before, Instant::now() + HOMING_WAIT).await;
+        let words = watched.unwrap_err().to_string();
+        assert!(words.starts_with("bob has taken the operator lock: hands in the rig"), "{words}");
+        let press = conductor.inner.campaign.stop_switch().pressed().expect("it is pressed");
+        let why = "the homing for run 1 could not be aborted: the rig's thread does not answer";
+        assert_eq!(press.why, why);
+        let noted = conductor.inner.store.events_of_kinds(run.uid, &["not_resumed"], 9);
+        let noted = noted.await.unwrap();
+        let words = format!("{why}; the e-stop was pressed");
+        assert_eq!((noted.len(), noted[0].data["why"].as_str()), (1, Some(words.as_str())));
+    }
+
+    #[tokio::test]
+    async fn no_e_stop_is_pressed_if_the_homing_has_ended_and_the_campaign_does_not_answer() {
+        let (conductor, inbox, _folder) = conductor().await;
+        let [run, _next] = earlier(&conductor).await;
+        // The tips may be raised.
+        inbox.status.send_modify(|status| status.rig.state = RigState::Disarmed);
+        drop(inbox);
+        conductor.end_homing(&run).await;
+        assert!(conductor.inner.campaign.stop_switch().pressed().is_none());
     }
 
     #[tokio::test]

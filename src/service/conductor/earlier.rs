@@ -61,12 +61,11 @@ impl Conductor {
         }
     }
 
-    /// Stores what follows for the next process. First which runs wait no more: the open runs may be the reason, and are
-    /// not open any more if this process ends here.
+    /// Stores what follows for the next process. First which runs wait no more: the open runs may be the reason, and stay
+    /// open until this is stored, since the next process would otherwise begin what waits behind them.
     async fn mark(&self, taken: &TakenOver, stays: Option<RunUid>) -> StoreResult<()> {
         for (run, _) in &taken.dropped {
-            // It is repeated, and logged if it fails again.
-            let _ = self.inner.store.clear_waiting(run.uid).await;
+            self.inner.store.clear_waiting(run.uid).await?;
         }
         self.inner.store.interrupt_open_runs(stays).await
     }

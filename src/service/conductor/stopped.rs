@@ -2,7 +2,7 @@
 //! by itself.
 //! Uses: `conductor::take_over`, `campaign` (its handle), `store`. Never: motion, HTTP, a delay of the stop.
 
-use std::sync::atomic::Ordering;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
 use parking_lot::Mutex;
@@ -30,19 +30,42 @@ pub(super) struct Noted {
     sign: Mutex<Option<String>>,
     /// When a halt was requested last that the campaign did not answer.
     unanswered: Mutex<Option<Instant>>,
+    /// Halts that the campaign has not answered yet.
+    awaited: AtomicU64,
+}
+
+/// A halt that the campaign has not answered yet. If it is dropped without an answer, it had none.
+struct Awaited<'a> {
+    noted: &'a Noted,
+    is_answered: bool,
+}
+
+impl<'a> Awaited<'a> {
+    fn begin(noted: &'a Noted) -> Self {
+        noted.awaited.fetch_add(1, Ordering::SeqCst);
+        Self { noted, is_answered: false }
+    }
+}
+
+impl Drop for Awaited<'_> {
+    fn drop(&mut self) {
+        if !self.is_answered {
+            *self.noted.unanswered.lock() = Some(Instant::now());
+        }
+        self.noted.awaited.fetch_sub(1, Ordering::SeqCst);
+    }
 }
 
 impl Conductor {
-    /// Requests a pause, a stop or an abort of the campaign. If it does not answer, since the service ends, the next
-    /// process drives no run by itself.
+    /// Requests a pause, a stop or an abort of the campaign. If it does not answer, since the service ends, or its caller
+    /// does not wait for the answer, the next process drives no run by itself.
     ///
     /// # Errors
     /// The refusal of the campaign.
     pub async fn halt(&self, request: Request) -> Result<(), Refusal> {
+        let mut awaited = Awaited::begin(&self.inner.noted);
         let asked = self.inner.campaign.ask(request).await;
-        if asked == Err(Refusal::Gone) {
-            *self.inner.noted.unanswered.lock() = Some(Instant::now());
-        }
+        awaited.is_answered = asked != Err(Refusal::Gone);
         asked
     }
 
@@ -152,8 +175,11 @@ impl Conductor {
         let attended = self.inner.campaign.status().attended;
         let is_stopped = self.inner.campaign.stop_switch().pressed().is_some();
         let is_followed = self.inner.signs.load(Ordering::SeqCst) == attended.signs;
+        // First: a halt that loses its answer meanwhile is one of the two.
+        let is_awaited = self.inner.noted.awaited.load(Ordering::SeqCst) > 0;
         let unanswered = *self.inner.noted.unanswered.lock();
-        let is_unanswered = unanswered.is_some_and(|at| at.elapsed() <= UNANSWERED_WITHIN);
+        let is_unanswered =
+            is_awaited || unanswered.is_some_and(|at| at.elapsed() <= UNANSWERED_WITHIN);
         let of_all = match is_stopped {
             true => {
                 Some("the e-stop was latched when the service ended: start it again".to_owned())
@@ -224,6 +250,22 @@ mod tests {
         drop(inbox);
         assert_eq!(conductor.halt(Request::PauseNow).await, Err(Refusal::Gone));
         assert_eq!(left().await, (StoredState::Interrupted, 0));
+    }
+
+    #[tokio::test]
+    async fn a_pause_without_an_answer_yet_or_whose_caller_has_gone_holds_in_the_next_process() {
+        for is_gone in [false, true] {
+            let (conductor, _inbox, _folder) = conductor().await;
+            let [run, _next] = earlier(&conductor).await;
+            let mut pause = Some(Box::pin(conductor.halt(Request::PauseNow)));
+            let asked = pause.as_mut().expect("it is requested");
+            let answer = tokio::time::timeout(Duration::from_millis(20), asked).await;
+            assert!(answer.is_err(), "the campaign is busy");
+            drop(pause.take_if(|_| is_gone));
+            conductor.keep_stopped().await;
+            let state = conductor.present(&run).await.unwrap().state;
+            assert_eq!(state, StoredState::Interrupted, "{is_gone}");
+        }
     }
 
     #[tokio::test]

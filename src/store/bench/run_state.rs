@@ -11,8 +11,9 @@ use crate::journal::ExitStatus;
 use crate::state::{PausedWhy, StateChange, StoredState};
 
 impl Store {
-    /// Marks the runs that an earlier process did not end as `interrupted`, except for `but`. Call it
-    /// before an engine starts.
+    /// Marks the runs that an earlier process did not end as `interrupted`, except for `but`: nothing drives them any more
+    /// without a person. Also those that [`Store::leave_open_runs`] leaves, since a stop by a person holds in the next
+    /// process.
     ///
     /// # Errors
     /// `Sql`, `Late` or `Closed` if the write fails.

@@ -18,7 +18,8 @@ use crate::table::condition::Condition;
 
 impl Store {
     /// From now on, runs that an earlier process left open are read as interrupted: nothing drives them. They stay as
-    /// they are stored, so that the next process finds what it would have found without this one.
+    /// they are stored, so that the next process finds what it would have found without this one, unless a person stops
+    /// something meanwhile ([`Store::interrupt_open_runs`]): then it must drive none of them.
     pub fn leave_open_runs(&self) {
         self.inner.leaves_open.store(true, Ordering::SeqCst);
     }

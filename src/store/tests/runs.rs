@@ -151,6 +151,21 @@ async fn open_runs_that_are_left_are_read_as_interrupted_and_stay_as_they_are_st
 }
 
 #[tokio::test]
+async fn a_stop_by_a_person_is_stored_also_of_open_runs_that_are_left() {
+    let (folder, store) = fresh().await;
+    let new = new_run(RunKind::RealHex);
+    let uid = new.uid;
+    store.create_run(new).await.unwrap();
+    store.run_state(uid, StateChange::to(StoredState::Running), now()).await.unwrap();
+    store.leave_open_runs();
+    store.interrupt_open_runs(None).await.unwrap();
+    store.close().await;
+    // The next process reads what is stored.
+    let store = open(&folder.file()).await;
+    assert_eq!(store.run(uid).await.unwrap().unwrap().state, StoredState::Interrupted);
+}
+
+#[tokio::test]
 async fn the_newest_run_that_pressed_the_skin_before_a_time_is_found() {
     let (_folder, store) = fresh().await;
     let mut pressed = Vec::new();

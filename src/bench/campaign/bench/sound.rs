@@ -1,5 +1,7 @@
-//! Whether one reading of a drive permits to rely on it: no alarm, its zero is known, its motor is on.
+//! Whether the readings of a drive permit to rely on it: no alarm, its zero is known, its motor is on.
 //! Uses: `campaign::{bench::interlock, bench::stopping, run::halt}`, `rig::traits`, `clock`. Never: positions.
+
+use tokio::time::Instant;
 
 use crate::campaign::bench::interlock::TripKind;
 use crate::campaign::bench::stopping::POLL_S;
@@ -8,7 +10,7 @@ use crate::clock::Clock;
 use crate::rig::error::RigError;
 use crate::rig::traits::{Axis, AxisStatus};
 
-/// Longest time until a drive at rest reports that it is ready, process s: it may do so a moment after its motion ends.
+/// Longest time for which a drive may not be ready, process s: a moment at the start of a motion, and after its end.
 const READY_WITHIN_S: f64 = 0.2;
 
 pub(super) fn require_no_alarm(axis: &dyn Axis, status: &AxisStatus) -> Result<(), Halt> {
@@ -55,5 +57,76 @@ pub(super) async fn read_ready<A: AsRef<[AxisStatus]>, F: Future<Output = Result
             return Ok(statuses);
         }
         clock.sleep(POLL_S).await;
+    }
+}
+
+/// Readings of an axis in motion, one after the other: whether it has lost its zero, and whether its motor is off.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct SoundWatch {
+    /// Whether the last reading showed no zero.
+    has_no_zero: bool,
+    /// Arrival of the first of the last readings that showed the motor off.
+    off_since: Option<Instant>,
+}
+
+impl SoundWatch {
+    /// Takes the next reading.
+    ///
+    /// # Errors
+    /// A trip if two readings in succession show no zero, since a flipped bit does not recur, or if the motor is off for
+    /// longer than the moment that a motion begins or ends with.
+    pub(super) fn take(
+        &mut self,
+        clock: &Clock,
+        axis: &dyn Axis,
+        status: &AxisStatus,
+    ) -> Result<(), Halt> {
+        if std::mem::replace(&mut self.has_no_zero, !status.homed) {
+            require_zero(axis, status)?;
+        }
+        if status.ready {
+            self.off_since = None;
+            return Ok(());
+        }
+        let since = *self.off_since.get_or_insert(status.at);
+        if status.at.saturating_duration_since(since) <= clock.wall(READY_WITHIN_S) {
+            return Ok(());
+        }
+        require_on(axis, status)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::time::Duration;
+
+    use super::*;
+    use crate::campaign::bench::stand_in::StandIns;
+
+    #[test]
+    fn one_reading_without_a_zero_and_a_motor_that_is_off_for_a_moment_end_no_motion() {
+        let (axes, clock) = (StandIns::default(), Clock::new(1.0));
+        let sound = axes.x.present();
+        let after = |ms: u64, status: AxisStatus| AxisStatus {
+            at: sound.at + Duration::from_millis(ms),
+            ..status
+        };
+        let (unhomed, off) =
+            (AxisStatus { homed: false, ..sound }, AxisStatus { ready: false, ..sound });
+        let kind = |readings: &[AxisStatus]| {
+            let mut watch = SoundWatch::default();
+            let mut taken = readings.iter().map(|now| watch.take(&clock, &*axes.x, now));
+            taken.find_map(Result::err).and_then(|halt| halt.as_trip().map(|trip| trip.kind))
+        };
+        assert_eq!(kind(&[unhomed, sound, unhomed, sound]), None);
+        assert_eq!(kind(&[sound, unhomed, unhomed]), Some(TripKind::Position));
+        assert_eq!(
+            kind(&[after(0, off), after(200, off), after(201, sound), after(402, off)]),
+            None
+        );
+        assert_eq!(
+            kind(&[after(0, off), after(100, off), after(201, off)]),
+            Some(TripKind::Device)
+        );
     }
 }

@@ -60,6 +60,8 @@ pub struct StandIn {
     pub targets: Mutex<Vec<f64>>,
     /// Stops that it received.
     pub stops: AtomicU64,
+    /// Whether its driver panics at a stop.
+    pub stop_panics: AtomicBool,
 }
 
 impl StandIn {
@@ -86,6 +88,7 @@ impl StandIn {
             speed: Mutex::default(),
             targets: Mutex::default(),
             stops: AtomicU64::default(),
+            stop_panics: AtomicBool::default(),
         })
     }
 
@@ -183,6 +186,7 @@ impl Axis for StandIn {
     }
 
     async fn stop(&self) -> Result<(), RigError> {
+        assert!(!self.stop_panics.load(Ordering::SeqCst), "the driver of {} fails", self.name);
         self.reply("stop")?;
         self.stops.fetch_add(1, Ordering::SeqCst);
         Ok(())

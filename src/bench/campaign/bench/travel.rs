@@ -10,7 +10,9 @@ use futures::future::try_join_all;
 use tokio::time::Instant;
 
 use crate::campaign::bench::interlock::{self, TripKind};
-use crate::campaign::bench::sound::{read_ready, require_no_alarm, require_on, require_zero};
+use crate::campaign::bench::sound::{
+    SoundWatch, read_ready, require_no_alarm, require_on, require_zero,
+};
 use crate::campaign::bench::stage::{AxisName, BEYOND_TRAVEL, Driven, GRACE, Stage};
 use crate::campaign::run::control::Control;
 use crate::campaign::run::halt::Halt;
@@ -151,6 +153,7 @@ impl Stage {
             return Ok(Ended::Late);
         }
         let deadline = self.clock.now() + self.clock.wall(1.5 * longest_s + 0.5) + GRACE;
+        let mut sound = vec![SoundWatch::default(); targets.len()];
         loop {
             control.attend()?;
             let checked_s = self.clock.process_s();
@@ -166,8 +169,9 @@ impl Stage {
             self.stopping.note_poll(now_s - polled_s);
             polled_s = now_s;
             let mut arrived = true;
-            for (target, status) in targets.iter().zip(&statuses) {
+            for ((target, status), sound) in targets.iter().zip(&statuses).zip(&mut sound) {
                 arrived &= self.check_axis(target, status)?;
+                sound.take(&self.clock, self.driven(target.axis).axis, status)?;
             }
             if let Some(reading) = reading {
                 let z_mm = z_place.map(|i| statuses[i].position);
@@ -191,12 +195,13 @@ impl Stage {
         }
     }
 
-    /// Checks one reading of a moving axis. Returns whether it has arrived.
+    /// Checks one reading of a moving axis. Returns whether it has arrived; without its zero it is somewhere else.
     fn check_axis(&self, target: &Target, status: &AxisStatus) -> Result<bool, Halt> {
         let driven = self.driven(target.axis);
         self.require_within(target.axis, status, driven.tolerance)?;
         require_no_alarm(driven.axis, status)?;
-        Ok(!status.moving && (status.position - target.position).abs() <= driven.tolerance)
+        let is_there = (status.position - target.position).abs() <= driven.tolerance;
+        Ok(is_there && !status.moving && status.homed)
     }
 
     /// Checks that each axis is homed, within its travel, with its motor on and without an alarm, which the release of a

@@ -365,6 +365,13 @@ impl Engine {
         let safe = AssertUnwindSafe(self.make_safe(Some(&trip), Height::Clear)).catch_unwind();
         if safe.await.is_err() {
             tracing::error!("the safe end itself failed: inspect the rig");
+            if self.control.rig() != RigState::Tripped {
+                self.control.latch(&trip);
+            }
+            // An axis may still move, and the tips may be down.
+            if self.stage().is_some() {
+                self.owed = Owed::Person;
+            }
         }
         self.control.forget_run();
         self.control.show(|status| (status.run, status.rig.motion) = (None, None));

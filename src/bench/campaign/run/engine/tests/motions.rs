@@ -162,3 +162,40 @@ async fn an_abort_during_a_tare_waits_for_no_frame() {
         assert!(matches!(tared, Err(Halt::Asked)) && aborted.is_ok(), "{tared:?}");
     }
 }
+
+#[tokio::test]
+async fn a_moving_axis_that_loses_its_zero_or_its_motor_ends_the_motion_before_its_deadline() {
+    type Change = fn(&mut AxisStatus);
+    let restarts = |axis: &mut AxisStatus| axis.homed = false;
+    let is_off = |axis: &mut AxisStatus| axis.ready = false;
+    // A drive that has restarted may report its target.
+    let restarts_there =
+        |axis: &mut AxisStatus| (axis.position, axis.moving, axis.homed) = (100.0, false, false);
+    let losses: [(Change, TripKind, &str); 3] = [
+        (restarts, TripKind::Position, "is not homed any more"),
+        (restarts_there, TripKind::Position, "is not homed any more"),
+        (is_off, TripKind::Device, "is not ready, without an alarm"),
+    ];
+    for name in [AxisName::X, AxisName::Y, AxisName::Z, AxisName::Radial] {
+        for (change, kind, words) in losses {
+            let (axes, mut engine) = engine();
+            let axis = match name {
+                AxisName::X => &axes.x,
+                AxisName::Y => &axes.y,
+                AxisName::Z => &axes.z,
+                AxisName::Radial => &axes.radial,
+            };
+            axis.keep_moving();
+            let (stage, control) = parts(&mut engine);
+            let target = [Target::of(name, 100.0)];
+            let travel = stage.travel(control, &target);
+            let fails = async {
+                axis.started().await;
+                change(&mut axis.status.lock());
+            };
+            let (moved, ()) = tokio::join!(travel, fails);
+            let detail = tripped(moved, kind);
+            assert!(detail.contains(words), "{name:?}: {detail}");
+        }
+    }
+}

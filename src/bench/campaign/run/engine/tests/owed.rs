@@ -198,3 +198,19 @@ async fn a_suspension_while_the_cells_are_asked_before_a_tip_change_states_its_r
     let run = engine.control.inbox.status.borrow().run.clone().unwrap();
     assert_eq!((run.waiting_for.as_deref(), run.wanted), (Some("a full disk"), None));
 }
+
+#[tokio::test]
+async fn after_a_safe_end_that_itself_fails_the_rig_is_tripped_and_arms_no_run_before_a_homing() {
+    let (job, (axes, mut engine)) = (job(), engine());
+    engine.control.rig_event(RigEvent::Homed).unwrap();
+    axes.x.stop_panics.store(true, Ordering::SeqCst);
+    engine.after_panic("a plan with wrong places").await;
+    assert_eq!((engine.control.rig(), engine.owed), (RigState::Tripped, Owed::Person));
+    axes.x.stop_panics.store(false, Ordering::SeqCst);
+    engine.reset(0, None).await.unwrap();
+    let (waited_for, _caller) = oneshot::channel();
+    let refused = engine.arm(&job, &waited_for).await;
+    assert!(matches!(refused, Err(Refusal::Busy(_))), "{refused:?}");
+    assert!(engine.home().await);
+    assert_eq!(engine.arm(&job, &waited_for).await, Ok(()));
+}
