@@ -17,7 +17,7 @@ use super::read_only::View;
 use super::running::Running;
 use super::trust::Certificates;
 use super::{At, DEFAULT_URL};
-use crate::api::{LockFileError, ServeError, ServeOptions, Service};
+use crate::api::{ServeError, ServeOptions, Service};
 use crate::conductor::AutoResume;
 
 /// Default number of threads for simulated twins: one keeps up with a rig at a hundred times real
@@ -127,7 +127,7 @@ fn options(data: PathBuf, rig: &RigFiles, purpose: Purpose) -> CliResult<ServeOp
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Purpose {
     /// It only reads: the service that is started for it makes nothing by itself, so that a look at the data does
-    /// not resume a training. If another command uses the folder, the database is read while that one writes it.
+    /// not resume a training. If another process without a rig uses the folder, its database is read meanwhile.
     Reads,
     /// Its result leaves the folder. If the folder cannot be written, it works on a copy: it stores what it computes.
     Computes,
@@ -138,9 +138,10 @@ pub enum Purpose {
 /// Runs `work` with a running service, or with one started for it, which needs no rig.
 ///
 /// # Errors
-/// `CliError` if no service can be reached or started, or the error of `work`; `Serve` if another command uses the folder
-/// and this one computes or stores; `Problems` if it reads and the folder that was named does not exist, or stores and the
-/// folder cannot be written; `File` if a database of a folder that cannot be written was changed meanwhile.
+/// `CliError` if no service can be reached or started, or the error of `work`; `Serve` if another command uses the
+/// folder and this one computes or stores; `Problems` if it reads and the folder that was named does not exist, or
+/// stores and the folder cannot be written; `File` if a database of a folder that cannot be written was changed
+/// meanwhile.
 pub async fn with_purpose<T>(
     at: &At,
     purpose: Purpose,
@@ -210,9 +211,8 @@ async fn own_service(data: PathBuf, purpose: Purpose) -> CliResult<(Client, OwnS
         false => None,
     };
     let begun = started(data.clone(), view.as_ref(), purpose).await;
-    // The folder of `serve` is read through it, or not at all: only it knows which of its runs is driven.
-    if purpose == Purpose::Reads && begun.as_ref().is_err_and(is_held) && !Running::is_there(&data)
-    {
+    // The folder of a service with a rig is read through it, or not at all: only it knows which of its runs is driven.
+    if purpose == Purpose::Reads && begun.as_ref().is_err_and(is_held_without_rig) {
         let view = View::beside(&data).await.map_err(CliError::file(&data))?;
         if let Some(view) = view {
             let (client, service) = started(data, Some(&view), purpose).await?;
@@ -223,9 +223,9 @@ async fn own_service(data: PathBuf, purpose: Purpose) -> CliResult<(Client, OwnS
     Ok((client, (service, view)))
 }
 
-/// Whether another process has the lock of the data folder.
-fn is_held(error: &CliError) -> bool {
-    matches!(error, CliError::Serve(ServeError::Locked(LockFileError::Held { .. })))
+/// Whether a process without a rig has the lock of the data folder.
+fn is_held_without_rig(error: &CliError) -> bool {
+    matches!(error, CliError::Serve(ServeError::Locked(lock)) if lock.is_held_without_rig())
 }
 
 /// Starts a service on a data folder, or on the view of it.
@@ -254,6 +254,7 @@ mod tests {
     use serde_json::Value;
 
     use super::*;
+    use crate::api::LockFile;
     use crate::clock::Clock;
     use crate::ids::RunUid;
     use crate::store::{ImportedTrial, Label, NewRun, RunKind, Store};
@@ -351,12 +352,10 @@ mod tests {
         };
         refused(Purpose::Computes).await;
         refused(Purpose::Stores).await;
-        let process = std::process::id().cast_signed();
-        let url = "https://10.0.0.5:8080".to_owned();
-        Running { url, process, certificate: None }.write(&data).unwrap();
-        // It is `palpate serve`, at an address that is not asked.
-        refused(Purpose::Reads).await;
         first.shutdown().await;
+        // As a service that has a rig, and at whose address nothing answers.
+        let _lock = LockFile::of_data(&data).unwrap();
+        refused(Purpose::Reads).await;
     }
 
     #[test]

@@ -48,19 +48,12 @@ impl Running {
     /// Reads the file. A key is sent to its address: so only an address on the loopback is believed,
     /// and only of a file that no other user than root can have written.
     pub fn read(data: &Path) -> Option<Self> {
-        if !is_ours(data) || !is_ours(&data.join(FILE)) {
+        let path = data.join(FILE);
+        if !is_ours(data) || !is_ours(&path) {
             return None;
         }
-        Self::parsed(data).filter(|read| is_loopback(&read.url) && is_alive(read.process))
-    }
-
-    /// Whether the process that wrote the file runs, whatever its address.
-    pub fn is_there(data: &Path) -> bool {
-        Self::parsed(data).is_some_and(|read| is_alive(read.process))
-    }
-
-    fn parsed(data: &Path) -> Option<Self> {
-        serde_json::from_slice(&std::fs::read(data.join(FILE)).ok()?).ok()
+        let read: Self = serde_json::from_slice(&std::fs::read(path).ok()?).ok()?;
+        (is_loopback(&read.url) && is_alive(read.process)).then_some(read)
     }
 }
 
@@ -112,12 +105,10 @@ mod tests {
             let running = running(url);
             running.write(folder).unwrap();
             assert_eq!(Running::read(folder), found.then_some(running), "{url}");
-            assert!(Running::is_there(folder), "{url}");
         }
         let gone = Running { process: i32::MAX, ..running("https://[::1]:1") };
         gone.write(folder).unwrap();
         assert_eq!(Running::read(folder), None, "its process has ended");
-        assert!(!Running::is_there(folder));
         running("https://[::1]:1").write(folder).unwrap();
         let everybody = std::fs::Permissions::from_mode(0o666);
         std::fs::set_permissions(folder.join(FILE), everybody).unwrap();

@@ -96,6 +96,8 @@ async fn keys_and_lock_need_neither_a_service_nor_a_rig() {
     let lab = Filled::serve(data.clone()).await;
     let refused = Offline::open(&data).await.err().unwrap().to_string();
     assert!(refused.contains("in use by process"), "{refused}");
+    // It has a rig and no address in the folder, as `serve` before it listens.
+    not_done(&on(&data, &["runs"]).await, 1, "in use by process");
     let note = json!({ "note": "gone\u{1b}[2J" });
     let (status, problem) = answered(lab.http.put(lab.url("/api/v1/lock")).json(&note)).await;
     let detail = "request: note = 8 characters: must have no control characters";

@@ -9,6 +9,9 @@
 //! the file must be an ordinary one with one name, it is written only by the holder of the lock, and it is
 //! never believed: what is read of it is shown. Any user may hold the lock without a rig; the refusal names
 //! process and user, and root may end it.
+//!
+//! The lock file of a data folder is believed in one point: that its holder has no rig. Other processes may then
+//! read the data.
 
 use std::fs::{File, Permissions};
 use std::io::{self, Read, Seek, Write};
@@ -28,6 +31,8 @@ const SHARED: [&str; 2] = ["/run/lock", "/tmp"];
 const STICKY_FOR_ALL: u32 = 0o1002;
 /// Rights of the lock of a rig.
 const SHARED_MODE: u32 = 0o666;
+/// End of the note of a holder of a data folder that has no rig.
+const NO_RIG: &str = " without a rig";
 /// Longest note of a holder that is shown, bytes.
 const HOLDER_MAX_BYTES: u64 = 60;
 
@@ -57,6 +62,13 @@ pub enum LockFileError {
     /// The lock file cannot be opened or written.
     #[error("lock file {}: {}", path.display(), system_words(source))]
     File { path: PathBuf, source: io::Error },
+}
+
+impl LockFileError {
+    /// Whether the holder noted that it has no rig: other processes may read the data meanwhile.
+    pub fn is_held_without_rig(&self) -> bool {
+        matches!(self, Self::Held { holder, .. } if holder.ends_with(NO_RIG))
+    }
 }
 
 impl LockFile {
@@ -113,6 +125,12 @@ impl LockFile {
         writeln!(file, "{} of user {user}", std::process::id()).map_err(failed)?;
         Ok(Self { file })
     }
+
+    /// Adds to the note that the holder of a data folder has no rig.
+    pub(super) fn note_no_rig(&mut self) {
+        // Without the note others are refused.
+        let _ = writeln!(self.file, "{NO_RIG}");
+    }
 }
 
 /// Address of a wire.
@@ -161,14 +179,20 @@ mod tests {
     #[test]
     fn a_second_holder_is_refused_with_the_process_id_of_the_first() {
         let folder = tempfile::tempdir().unwrap();
-        let first = LockFile::of_data(folder.path()).unwrap();
-        let refused = LockFile::of_data(folder.path()).unwrap_err().to_string();
+        let mut first = LockFile::of_data(folder.path()).unwrap();
+        let refused = LockFile::of_data(folder.path()).unwrap_err();
+        assert!(!refused.is_held_without_rig(), "it may drive one");
+        let refused = refused.to_string();
         let user = rustix::process::geteuid().as_raw();
         let holder = format!("by process {} of user {user} (", std::process::id());
         assert!(refused.contains(&holder), "{refused}");
         let start = format!("the data folder {} is in use", folder.path().display());
         assert!(refused.starts_with(&start), "{refused}");
         assert!(refused.contains("wait until that process ends"), "{refused}");
+        first.note_no_rig();
+        let refused = LockFile::of_data(folder.path()).unwrap_err();
+        assert!(refused.is_held_without_rig(), "{refused}");
+        assert!(refused.to_string().contains(&format!("{user} without a rig (")), "{refused}");
         drop(first);
         assert_eq!(folder.path().join("palpate.lock").metadata().unwrap().len(), 0);
         LockFile::of_data(folder.path()).unwrap();

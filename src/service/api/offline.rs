@@ -26,7 +26,8 @@ impl Offline {
     /// # Errors
     /// `ServeError::Data` or `Store` if the folder cannot be used, `Locked` if another process uses it.
     pub async fn open(data: &Path) -> Result<Self, ServeError> {
-        let lock = data_folder::open(data)?;
+        let mut lock = data_folder::open(data)?;
+        lock.note_no_rig();
         let store = Store::open(&data_folder::database(data), Clock::new(1.0)).await?;
         let keys = KeyRing::load(store.clone()).await?;
         Ok(Self { store, keys, caller: Caller { key: None, role: Role::Admin }, _lock: lock })

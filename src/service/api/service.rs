@@ -70,8 +70,9 @@ impl Service {
             .map_err(|problems| ServeError::Rig { problems })?;
         let tls = options.tls.as_ref().map(Tls::acceptor).transpose()?;
         let mut locks = vec![data_folder::open(&options.data)?];
-        if !options.desk {
-            locks.extend(LockFile::of_rig(&config)?);
+        match options.desk {
+            true => locks[0].note_no_rig(),
+            false => locks.extend(LockFile::of_rig(&config)?),
         }
         let (database, clock) = (data_folder::database(&options.data), Clock::new(1.0));
         let store = match &options.in_place {
