@@ -82,9 +82,8 @@ impl View {
     pub async fn of(data: &Path, only_reads: bool) -> io::Result<Self> {
         let database = database(data)?;
         let before = Before::of(&database);
-        let is_in_place = only_reads
-            && !before.has_log
-            && Store::is_current(&database, Sharing::Unchanged).await;
+        let is_in_place =
+            only_reads && !before.has_log && Store::is_current(&database, Sharing::Unchanged).await;
         Self::make(data, is_in_place.then_some(InPlace { database, before: Some(before) }))
     }
 

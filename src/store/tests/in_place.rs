@@ -30,7 +30,8 @@ async fn a_database_is_read_in_place_and_nothing_is_written() {
     assert!(Store::is_current(&database, Sharing::Unchanged).await);
 
     let path = folder.0.path().join("elsewhere.db");
-    let store = Store::read_in_place(&database, Sharing::Unchanged, &path, Clock::new(1.0)).await.unwrap();
+    let store =
+        Store::read_in_place(&database, Sharing::Unchanged, &path, Clock::new(1.0)).await.unwrap();
     assert_eq!(store.path(), path);
     let query = TrialQuery { limit: 9, ..TrialQuery::default() };
     assert_eq!(store.trials(&query).await.unwrap().len(), 1);
@@ -49,7 +50,8 @@ async fn a_database_is_read_with_its_log_while_it_is_written() {
     store.trial(run, &hex_trial(0, 0, &[9.0, 7.5])).await.unwrap();
     let (database, path) = (folder.file(), folder.0.path().join("elsewhere.db"));
     assert!(Store::is_current(&database, Sharing::Written).await);
-    let reading = Store::read_in_place(&database, Sharing::Written, &path, Clock::new(1.0)).await.unwrap();
+    let reading =
+        Store::read_in_place(&database, Sharing::Written, &path, Clock::new(1.0)).await.unwrap();
     let query = TrialQuery { limit: 9, ..TrialQuery::default() };
     assert_eq!(reading.trials(&query).await.unwrap().len(), 1);
     store.trial(run, &hex_trial(0, 1, &[9.0, 7.5])).await.unwrap();
