@@ -476,7 +476,7 @@ mod tests {
     #[test]
     fn lines_for_which_nothing_reads_are_counted_and_do_not_wait() {
         let (lines, inbox) = sync_channel(2);
-        let mut queue = Queue { lines, lost: Arc::default() };
+        let mut queue = Queue { lines, lost: Arc::default(), priority: "" };
         for _ in 0..5 {
             queue.write_all(b"line\n").unwrap();
         }
