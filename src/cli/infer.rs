@@ -245,7 +245,9 @@ fn words(answer: &FrameAnswer) -> String {
         words += &format!("\n  {}", contact_words(contact));
     }
     if let Some(probability) = reading.probability.filter(|_| !reading.alternatives.is_empty()) {
-        words += &format!("\n  probability {:.0} %; other explanations:", 100.0 * probability);
+        let is_less = reading.alternatives.iter().any(|other| other.probability > probability);
+        let why = if is_less { " (the number of contacts is the most probable one)" } else { "" };
+        words += &format!("\n  probability {:.0} %{why}; other explanations:", 100.0 * probability);
     }
     for other in &reading.alternatives {
         let contacts: Vec<String> = other.contacts.iter().map(contact_words).collect();
@@ -365,5 +367,8 @@ mod tests {
             contact_words(&contact(120.0))
         );
         assert_eq!(shown(&reading), others);
+        reading.alternatives[0].probability = 0.72;
+        let why = "probability 71 % (the number of contacts is the most probable one); other";
+        assert!(shown(&reading).contains(why), "{}", shown(&reading));
     }
 }

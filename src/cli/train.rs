@@ -199,7 +199,7 @@ pub async fn train(args: TrainArgs) -> CliResult<()> {
 
 async fn request(client: &Client, args: &TrainArgs, recipe: &str) -> CliResult<JobOut> {
     let mut body = json!({ "recipe": recipe });
-    // An earlier version of the service does not know it.
+    // An earlier version of the service refuses it: it is sent only where it is needed.
     if has_default_map(&args.recipe, &args.changes) {
         body["scale_map"] = true.into();
     }

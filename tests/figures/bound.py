@@ -1,7 +1,7 @@
 """Places and counts of light contacts that the noise of a readout allows, on a skin as simple as possible.
 
-    python3 tests/figures/bound.py [--trials 150] [--offsets 0.19,0.1,0.05] [--model 0.05] [--noise 1] [--power 1.8]
-        [--spread 0.4] [--misplaced 0] [--missized 0] [--seed 5]
+    python3 tests/figures/bound.py [--trials 150] [--offsets 0.19,0.1,0.05] [--model 0.05] [--noise 1] [--frames 30]
+        [--power 1.8] [--spread 0.4] [--misplaced 0] [--missized 0] [--seed 5]
 
 Needs numpy; a minute for 300 trials on one core. Means have 95 % intervals: right counts of 150 trials are known to
 8 points, of 600 to 4. The sheet is uniform, with the electrodes of sensors/ert-28.toml; a contact is a current, scaled
@@ -9,7 +9,7 @@ so that 9.81 N make a frame of 2.6 mV (the median over the skin, root mean squar
 (--power), and differs between places 40 mm apart by a factor whose logarithm has the standard deviation --spread: by
 default as on gap c, which has 0.73 mV at 4.9 N. With 1 and 0 a weight of 4.9 N is half as strong as one of 9.81 N,
 everywhere. Trials are those of touch-real-random: 2 to 4 weights of 4.9, 7.4 and 9.8 N, 40 mm apart, means of 30 frames
-with white noise in each (--noise, mV), and offsets that are left after the untouched frame, as differences of the
+(--frames) with white noise in each (--noise, mV), and offsets that are left after the untouched frame, as differences of the
 buffers of neighbouring electrodes (mV per pair, --offsets). Contacts are searched as `exact` does: evidence by
 Laplace's approximation, the same priors. The search knows the sheet, the law, the strength of each place, and the
 covariance of the noise (`all`) or its variances alone (`size`), and a model error in proportion to the signal
@@ -26,7 +26,7 @@ import tomllib
 import numpy as np
 
 SENSOR = pathlib.Path(__file__).resolve().parents[2] / "experiments" / "sensors" / "ert-28.toml"
-NODES, ELECTRODES, FRAMES = 46, 28, 30
+NODES, ELECTRODES = 46, 28
 FRAME_MV, FRAME_N, FIELD_MM = 2.6, 9.81, 40.0
 WEIGHTS_N, APART_MM, EDGE_MM = [4.905, 7.358, 9.81], 40, 20
 # Priors of `exact` (sim-core, FitOptions).
@@ -114,11 +114,11 @@ class Sheet:
         return frame, slopes
 
 
-def covariance(sheet_frame, noise_mv, offset_mv, model, knows_all):
-    """Of a reduced mean of frames, mV^2."""
+def covariance(sheet_frame, mean_noise_mv, offset_mv, model, knows_all):
+    """Of a reduced mean of frames with this white noise, mV^2."""
     pairs = np.eye(ELECTRODES)
     neighbours = np.roll(pairs, 1, 0) + np.roll(pairs, -1, 0) if knows_all else 0 * pairs
-    each = noise_mv**2 / (FRAMES * ELECTRODES) + model**2 * (sheet_frame[:-1] ** 2).mean()
+    each = mean_noise_mv**2 / ELECTRODES + model**2 * (sheet_frame[:-1] ** 2).mean()
     whole = np.diag(np.append(np.full(ELECTRODES, each), each))
     whole[:-1, :-1] += offset_mv**2 * (pairs - neighbours / 2)
     return whole
@@ -245,12 +245,14 @@ def main():
     parser.add_argument("--offsets", default="0.19,0.1,0.05", help="mV per pair of electrodes")
     parser.add_argument("--model", type=float, default=0.05, help="error of the model, share of the signal")
     parser.add_argument("--noise", type=float, default=1.0, help="white noise of a voltage in one frame, mV")
+    parser.add_argument("--frames", type=int, default=30, help="frames in a mean")
     parser.add_argument("--power", type=float, default=1.8, help="power of the force in a contact's current")
     parser.add_argument("--spread", type=float, default=0.4, help="standard deviation of ln of a place's strength")
     parser.add_argument("--misplaced", type=float, default=0.0, help="error of each place, standard deviation, mm")
     parser.add_argument("--missized", type=float, default=0.0, help="error of each current, as a share")
     parser.add_argument("--seed", type=int, default=5)
     args = parser.parse_args()
+    mean_noise_mv = args.noise / math.sqrt(args.frames)
     sheet = Sheet(args.power, args.spread, np.random.default_rng(args.seed + 1))
     print("| offsets, mV | known of them | location, mm | closest, mm | number, % | right count, % |\n|" + "---|" * 6)
     for offset_mv in map(float, args.offsets.split(",")):
@@ -261,9 +263,9 @@ def main():
             for index in range(args.trials):
                 truth = trial(sheet, 2 + index % 3, random)
                 clean, _ = sheet.frame(shifted(truth, args.misplaced, args.missized, args.power, errors))
-                true_error = covariance(clean, args.noise, offset_mv, args.model, True)
+                true_error = covariance(clean, mean_noise_mv, offset_mv, args.model, True)
                 frame = clean + np.linalg.cholesky(true_error) @ random.standard_normal(len(clean))
-                assumed = covariance(clean, args.noise, offset_mv, args.model, known == "all")
+                assumed = covariance(clean, mean_noise_mv, offset_mv, args.model, known == "all")
                 found = Search(sheet, frame, assumed).run()
                 location += matched_mm(found, truth)
                 apart = np.hypot(*(truth[:, None, :2] - found[None, :, :2]).transpose(2, 0, 1))

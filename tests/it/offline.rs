@@ -33,6 +33,7 @@ async fn a_command_that_only_reads_works_while_another_one_uses_the_folder() {
     let first = Filled::serve_as(data.clone(), |options| options.desk = true).await;
     assert_eq!(listed(&data, &["runs"]).await, 2);
     assert_eq!(listed(&data, &["trials", "1", "--limit", "3"]).await, 3);
+    succeeded(&on(&data, &["show", "1"]).await);
     // The first command stores more.
     let definition = include_str!("../../experiments/quickstart.toml");
     let run = json!({ "file": "q.toml", "definition": definition, "who": "ada" });

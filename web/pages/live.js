@@ -30,7 +30,8 @@ function sureness(answer, old) {
   const misfit = answer.misfit == null ? '' : ` The fit leaves ${fixed(answer.misfit, 1)} times the noise (limit ${answer.misfit_limit}).`
   const notes = (answer.notes ?? []).map(note => ` Note: ${note}.`).join('')
   const found = answer.contacts.length ? counted(answer.contacts.length, 'contact') : 'Nothing touches the skin', others = answer.alternatives ?? []
-  if (others.length) return { tone: 'warn', words: `${found}, with a probability of ${fixed(100 * answer.probability, 0, '%')}. Other explanations: ${others.map(explained).join('; ')}.${misfit}${notes}` }
+  const why = others.some(other => other.probability > answer.probability) ? ' (the number of contacts is the most probable one)' : ''
+  if (others.length) return { tone: 'warn', words: `${found}, with a probability of ${fixed(100 * answer.probability, 0, '%')}${why}. Other explanations: ${others.map(explained).join('; ')}.${misfit}${notes}` }
   return { tone: notes ? 'warn' : 'good', words: `${found}.${misfit}${notes}` }
 }
 

@@ -101,7 +101,7 @@ fn latch_words(name: &str) -> String {
 /// same.
 #[utoipa::path(post, path = "/api/v1/estop", tag = "rig",
     request_body(content = Option<serde_json::Value>, description = "`who` and `why`, as in Attribution, for \
-        the log of actions; whatever it is, the stop is the same"),
+        the status and the log of actions; whatever it is, the stop is the same"),
     responses((status = 200, body = Latched),
         (status = 401, description = "the key is missing, unknown or revoked")))]
 pub async fn estop(app: App, request: Request) -> Response {

@@ -54,7 +54,7 @@ impl Conductor {
         // In memory all of them, whatever the store does.
         self.dropped().extend(dropped.iter().map(|(run, why)| (run.uid, (*why).to_owned())));
         for (run, why) in &dropped {
-            // One that is driven need not wait for the store.
+            // Stored already by `left_by_earlier`; this adds the event.
             if let Err(error) = self.drop_waiting(run, why).await {
                 let error = error_chain(&error);
                 tracing::warn!(error, "a waiting run is dropped in memory only");

@@ -101,7 +101,7 @@ def halted(status):
     stop = {"acknowledged_ms": 3.1, "stood_ms": 162.0, "error": None}
     silent = {"acknowledged_ms": None, "stood_ms": None, "error": "no reply within 200 ms"}
     status["rig"].update(
-        state="tripped", trip={"kind": "estop", "detail": "pressed on the page by Ada"}, estop_acknowledged_ms=None,
+        state="tripped", trip={"kind": "estop", "detail": "emergency stop (Ada (local))"}, estop_acknowledged_ms=None,
         estop_stops=[{"axis": axis, **(silent if axis == "y" else stop)} for axis in ("x", "y", "z", "radial")])
     for one in status["rig_actions"]:
         one["refused"] = "an axis has not acknowledged its stop: y"
@@ -109,7 +109,7 @@ def halted(status):
     status.update(run=None, suspenders=[], last_trial_at=None, waiting_for=words, not_begun=words)
     moving = "NOT STOPPED: y (no reply within 200 ms)."
     needs(status, ("not_stopped", f"{moving} The stop is sent again until it is. Use the button on the rig.", "rig"),
-          ("reset", "Tripped (estop): pressed on the page by Ada. Clear the cause, reset, then home.", "rig"),
+          ("reset", "Tripped (estop): emergency stop (Ada (local)). Clear the cause, reset, then home.", "rig"),
           ("start", f"R{words[1:]}.", "queue"), safe=f"{moving} Use the button on the rig.")
 
 

@@ -38,9 +38,9 @@ pub struct AxisStop {
     /// it is not acknowledged.
     pub acknowledged_ms: Option<f64>,
     /// Time from the request of the stop to the reading that found the axis at rest, wall ms; absent while it is
-    /// not known to stand. In a safe end under an e-stop it is absent: the stops of the e-stop are read.
+    /// not known to be at rest. In a safe end under an e-stop it is absent: the stops of the e-stop are read.
     pub stood_ms: Option<f64>,
-    /// Why it is not acknowledged, or not known to stand; absent without a fault.
+    /// Why it is not acknowledged, or may still move; absent without a fault.
     pub error: Option<String>,
 }
 
