@@ -43,7 +43,7 @@ pub struct TrainingRequest {
     /// Text of the recipe file (TOML).
     pub recipe: String,
     /// Whether the map is scaled from the skin of the paper, 560 mm, to that of the dataset.
-    #[serde(default)]
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub scale_map: bool,
 }
 
