@@ -123,7 +123,8 @@ async fn ctrl_c_at_a_terminal_asks_and_each_answer_does_what_it_states() {
     let stopped = row();
     assert_eq!((&stopped["state"], &stopped["exit_status"]), (&json!("ended"), &json!("stopped")));
 
-    let mut resumed = Terminal::new(&desk, "run e.toml --speed 10");
+    // The detached service stays, with its speed.
+    let mut resumed = Terminal::new(&desk, "run e.toml");
     resumed.until_words("run 1 resumes where it stopped");
     resumed.interrupt();
     resumed.press(CTRL_C);
