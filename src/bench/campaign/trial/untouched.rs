@@ -60,7 +60,7 @@ pub struct UntouchedSkin {
     recent_v: VecDeque<Vec<f64>>,
     is_reported: bool,
     was_touched: bool,
-    /// The window before, touched or not.
+    /// The window before, touched or not; none just after a placement.
     before: Option<Window>,
     /// An untouched window whose end may hold the beginning of a touch.
     pending: Option<Seen>,
@@ -95,9 +95,14 @@ impl UntouchedSkin {
         self.is_reported.then(|| self.mean())
     }
 
-    /// Something touches the skin. Returns the mean of the newest windows before it, unless the last one was
-    /// returned already.
-    pub fn touched(&mut self) -> Option<UntouchedMean> {
+    /// Weights were placed. Returns the mean of the newest windows before them, unless the last one was returned
+    /// already. The windows of the placement are not seen: the next window may hold its end, and nothing precedes it.
+    pub fn placed(&mut self) -> Option<UntouchedMean> {
+        self.before = None;
+        self.touched()
+    }
+
+    fn touched(&mut self) -> Option<UntouchedMean> {
         (self.pending, self.was_touched) = (None, true);
         let is_reported = std::mem::replace(&mut self.is_reported, true);
         (!is_reported).then(|| self.mean())
@@ -150,8 +155,23 @@ mod tests {
         let after = [14, 15, 16, 17].map(|at_s| push(0.0, at_s));
         assert_eq!(after, [None, None, Some(15), None]);
         // A confirmation states that weights are on the skin.
-        assert_eq!(skin.touched().map(|found| found.at.as_second()), Some(16));
-        assert!(skin.touched().is_none());
+        assert_eq!(skin.placed().map(|found| found.at.as_second()), Some(16));
+        assert!(skin.placed().is_none());
+    }
+
+    #[test]
+    fn a_window_with_the_end_of_a_placement_is_no_zero() {
+        let mut skin = UntouchedSkin::tared(seen(0.0, 0));
+        assert!((1..3).all(|at_s| skin.push(seen(0.0, at_s)).is_none()));
+        assert!(skin.placed().is_some());
+        // The weights are lifted within the first frames of a window: its mean is within the noise of the zero.
+        let lifted = seen(1.0, 20);
+        assert!(lifted.window.rests_after(&seen(0.0, 2).window));
+        let stored = [lifted, seen(0.0, 21), seen(0.0, 22)].map(|seen| skin.push(seen));
+        assert_eq!(
+            stored.map(|found| found.map(|found| found.at.as_second())),
+            [None, None, Some(21)]
+        );
     }
 
     #[test]

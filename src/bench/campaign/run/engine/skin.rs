@@ -112,7 +112,7 @@ impl Engine {
                 }
             }
             EmptySkin::Followed(skin) => {
-                let found = skin.touched();
+                let found = skin.placed();
                 found.iter().for_each(|found| self.record_untouched(found));
             }
         }
