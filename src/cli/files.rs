@@ -31,6 +31,8 @@ pub const DEFAULT_GAP: &str = "gap-a";
 const DEFAULT_SENSOR_FILE: &str = "experiments/sensors/ert-28.toml";
 /// The default skin.
 pub const DEFAULT_SENSOR: &str = include_str!("../../experiments/sensors/ert-28.toml");
+/// Carried files of a kind: name and text.
+pub type CarriedFiles = &'static [(&'static str, &'static str)];
 /// The default skin's seed.
 pub const DEFAULT_SKIN_SEED: u64 = 3;
 
@@ -157,11 +159,7 @@ pub fn read_input(path: &Path) -> CliResult<String> {
 ///
 /// # Errors
 /// `CliError::Problems` if there is neither, with the carried names, or the file is of another kind.
-pub fn read_or_carried(
-    kind: FileKind,
-    path: &Path,
-    files: &'static [(&'static str, &'static str)],
-) -> CliResult<String> {
+pub fn read_or_carried(kind: FileKind, path: &Path, files: CarriedFiles) -> CliResult<String> {
     let name = path.to_str().filter(|_| !path.exists());
     if let Some(text) = name.and_then(|name| carried::text(files, name)) {
         return Ok(text.to_owned());
@@ -200,7 +198,7 @@ pub fn read_or_carried(
 pub fn on_disk(
     kind: FileKind,
     named: &Path,
-    files: &'static [(&'static str, &'static str)],
+    files: CarriedFiles,
     folder: &Path,
     name: &str,
 ) -> CliResult<PathBuf> {
