@@ -340,29 +340,10 @@ mod tests {
     }
 
     #[test]
-    fn a_missing_sensor_file_is_named_with_the_key_that_names_it() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("new/e.toml");
-        let text = "name = \"e\"\nseed = 1\nsensor = \"none.toml\"\n[real_hex]\ntips = [1]\n\
-                    configurations = 1\n";
-        write(&path, text).unwrap();
-        let error = ExperimentFiles::read(&path).err().unwrap();
-        let shown = error.to_string();
-        assert!(shown.contains("sensor = none.toml"), "{shown}");
-        assert_eq!(error.exit_code(), std::process::ExitCode::from(2));
-    }
-
-    #[test]
     fn a_sensor_is_named_as_its_default() {
         let named = |name: &str| read_sensor(Some(Path::new(name))).map(|(_, text)| text);
         assert_eq!(named("ert-28").unwrap(), DEFAULT_SENSOR);
         let unknown = named("ert-29").unwrap_err().to_string();
         assert!(unknown.contains("did you mean `ert-28`?"), "{unknown}");
-    }
-
-    #[test]
-    fn a_sensor_key_outside_its_shape_is_named() {
-        let error = parse_sensor("s.toml", "name = 3\n").err().unwrap().to_string();
-        assert!(error.starts_with("s.toml: name = 3"), "{error}");
     }
 }
