@@ -247,16 +247,9 @@ impl TrialRecord {
     pub fn mean_voltages_v(&self) -> Vec<f32> {
         let n = self.frames.len() as f64;
         let channels = self.frames.first().map_or(0, |f| f.counts.len());
-        (0..channels)
-            .map(|i| {
-                let sum: f64 = self
-                    .frames
-                    .iter()
-                    .map(|f| f64::from(f.counts[i]) * f64::from(f.volts_per_count))
-                    .sum();
-                (sum / n) as f32
-            })
-            .collect()
+        let v = |f: &FrameRecord, i: usize| f64::from(f.counts[i]) * f64::from(f.volts_per_count);
+        let sum_v = |i| self.frames.iter().map(|f| v(f, i)).sum::<f64>();
+        (0..channels).map(|i| (sum_v(i) / n) as f32).collect()
     }
 }
 

@@ -27,23 +27,19 @@ pub fn meaning(message: &str, value: &str) -> Meaning {
         return Meaning::Missing(key.trim_matches('`').into());
     }
     let named = quoted(message);
+    let (found, known) = named.split_first().map_or(("", &[][..]), |(f, known)| (*f, known));
     if message.starts_with("unknown field") {
-        let (key, known) = named.split_first().map_or(("", &[][..]), |(key, known)| (*key, known));
-        return Meaning::Limit(unknown_key(key, known));
+        return Meaning::Limit(unknown_key(found, known));
     }
     if message.starts_with("unknown ") && message.contains("expected") {
-        let (found, known) = named.split_first().map_or(("", &[][..]), |(f, known)| (*f, known));
         let meant = did_you_mean(found, known.iter().copied());
         return Meaning::Limit(format!("must be one of {}{meant}", known.join(", ")));
     }
     let typed = ["invalid type: ", "invalid value: ", "invalid length "];
     let wrong = typed.iter().find_map(|start| message.strip_prefix(start));
     if let Some((found, expected)) = wrong.and_then(|rest| rest.rsplit_once(", expected ")) {
-        return Meaning::Limit(format!(
-            "must be {}{}",
-            noun(expected),
-            hint(found, expected, value)
-        ));
+        let hint = hint(found, expected, value);
+        return Meaning::Limit(format!("must be {}{hint}", noun(expected)));
     }
     Meaning::Limit(syntax(message, value))
 }
