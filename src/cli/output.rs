@@ -173,14 +173,8 @@ fn words(line: &str) -> Vec<String> {
             Some(last) => *last += &format!(" {word}"),
             None => words.push(word.into()),
         }
-        is_open = match (
-            word.starts_with("[env:") || word.starts_with("[default:"),
-            word.contains(']'),
-        ) {
-            (_, true) => false,
-            (true, false) => true,
-            (false, false) => is_open,
-        };
+        is_open |= word.starts_with("[env:") || word.starts_with("[default:");
+        is_open &= !word.contains(']');
     }
     words
 }
