@@ -124,18 +124,12 @@ impl BenchArgs {
 mod tests {
     use super::*;
 
-    fn named(change: impl FnOnce(&mut BenchArgs)) -> BenchArgs {
-        let mut args = BenchArgs::default();
-        change(&mut args);
-        args
-    }
-
     #[test]
     fn a_bench_is_virtual_unless_a_rig_file_is_named() {
-        let rig = || Some(PathBuf::from("rig.toml"));
         assert!(BenchArgs::default().is_virtual());
-        assert!(!named(|args| args.rig = rig()).is_virtual());
-        assert!(named(|args| (args.rig, args.on_virtual) = (rig(), true)).is_virtual());
+        let named = BenchArgs { rig: Some("rig.toml".into()), ..BenchArgs::default() };
+        assert!(!named.is_virtual());
+        assert!(BenchArgs { on_virtual: true, ..named }.is_virtual());
     }
 
     #[test]
@@ -162,12 +156,15 @@ mod tests {
 
     #[test]
     fn options_of_the_virtual_rig_are_for_a_rig_that_is_simulated() {
-        let simulated = |args: &mut BenchArgs| {
-            (args.rig, args.speed, args.on_virtual) = (Some("rig.toml".into()), Some(5.0), true);
+        let simulated = BenchArgs {
+            rig: Some("rig.toml".into()),
+            speed: Some(5.0),
+            on_virtual: true,
+            ..BenchArgs::default()
         };
-        let gap = |args: &mut BenchArgs| args.gap = Some("gap-b".into());
-        let fault = |args: &mut BenchArgs| args.fault = Some("each-kind".into());
-        for bench in [BenchArgs::default(), named(simulated), named(gap), named(fault)] {
+        let gap = BenchArgs { gap: Some("gap-b".into()), ..BenchArgs::default() };
+        let fault = BenchArgs { fault: Some("each-kind".into()), ..BenchArgs::default() };
+        for bench in [BenchArgs::default(), simulated, gap, fault] {
             bench.check().unwrap();
         }
     }
