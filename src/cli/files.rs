@@ -22,7 +22,7 @@ use crate::schedule::preflight::Preflight;
 use crate::syntax::parse_toml;
 
 /// Name of the carried rig file in problems.
-pub const DEFAULT_RIG_FILE: &str = "experiments/rigs/virtual.toml";
+const DEFAULT_RIG_FILE: &str = "experiments/rigs/virtual.toml";
 /// The default rig: the virtual one.
 pub const DEFAULT_RIG: &str = include_str!("../../experiments/rigs/virtual.toml");
 /// Name of the default skin's differences from the model.
@@ -282,7 +282,7 @@ fn parse_sensor(file: &str, text: &str) -> CliResult<Sensor> {
 }
 
 /// The error of a file with problems; of a file of another kind only this is reported.
-pub fn of_kind(kind: FileKind, file: &str, text: &str, problems: Vec<Problem>) -> CliError {
+fn of_kind(kind: FileKind, file: &str, text: &str, problems: Vec<Problem>) -> CliError {
     CliError::Problems(match kind.instead_of(text) {
         Some(words) => vec![Problem::whole(file, words)],
         None => problems,
