@@ -155,7 +155,7 @@ mod tests {
     }
 
     #[test]
-    fn options_of_the_virtual_rig_are_for_a_rig_that_is_simulated() {
+    fn options_of_the_virtual_rig_are_for_a_simulated_rig_and_have_limits() {
         let simulated = BenchArgs {
             rig: Some("rig.toml".into()),
             speed: Some(5.0),
@@ -166,6 +166,11 @@ mod tests {
         let fault = BenchArgs { fault: Some("each-kind".into()), ..BenchArgs::default() };
         for bench in [BenchArgs::default(), simulated, gap, fault] {
             bench.check().unwrap();
+        }
+        let stopped = BenchArgs { speed: Some(0.0), ..BenchArgs::default() };
+        let unknown = BenchArgs { fault: Some("each-kin".into()), ..BenchArgs::default() };
+        for bench in [stopped, unknown] {
+            assert!(bench.check().is_err(), "{bench:?}");
         }
     }
 }
