@@ -277,4 +277,12 @@ mod tests {
         assert!(!words.contains("did you mean"), "{words}");
         assert!(!answer("plan quickstart --xyzzy").contains("did you mean"));
     }
+
+    #[test]
+    fn an_error_for_scripts_has_its_values_and_exit_code() {
+        let body = body(&CliError::argument("--speed", 0, "must be from 0.01 to 2000"));
+        assert_eq!((&body["exit_code"], &body["title"]), (&json!(2), &json!("invalid input")));
+        assert_eq!(body["errors"][0]["key"], "--speed");
+        assert!(body["errors"][0].get("at").is_none());
+    }
 }
