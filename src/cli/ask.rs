@@ -113,16 +113,22 @@ pub async fn metrics(at: &At) -> CliResult<()> {
     Ok(())
 }
 
-/// Sends an action that halts or ends the active run, or the one that is about to be driven again after a restart: it is
-/// carried out however late it comes.
+/// Sends an action that halts or ends the named run, or else the active one or the one that is about to be driven again
+/// after a restart: it is carried out however late it comes.
 ///
 /// # Errors
-/// `CliError::Idle` without such a run; other variants if the service cannot be reached or refuses.
-pub async fn act(args: &ActArgs, action: &str, more: Value) -> CliResult<()> {
+/// `CliError::Idle` if none is named and there is no such run, otherwise as [`find_run`]; other variants if the service
+/// cannot be reached or refuses.
+pub async fn act(args: &ActArgs, named: Option<&str>, action: &str, more: Value) -> CliResult<()> {
     let client = embed::server(&args.at).await?;
-    let of = match client.status().await?.run {
-        Some(run) => ActedRun::from(&run),
-        None => ActedRun::from(&client.find_run(RunRow::is_driven).await?.ok_or(CliError::Idle)?),
+    let of = match named {
+        Some(run) => ActedRun::from(&find_run(&client, run).await?),
+        None => match client.status().await?.run {
+            Some(run) => ActedRun::from(&run),
+            None => {
+                ActedRun::from(&client.find_run(RunRow::is_driven).await?.ok_or(CliError::Idle)?)
+            }
+        },
     };
     request(&client, of, args, action, more).await
 }
@@ -219,34 +225,26 @@ pub async fn request(
 /// As [`act`].
 pub async fn pause(args: &PauseArgs) -> CliResult<()> {
     let when = if args.now { "now" } else { "checkpoint" };
-    act(&args.act, "pause", json!({ "when": when })).await
+    act(&args.act, None, "pause", json!({ "when": when })).await
 }
 
 /// Runs `palpate stop`.
 ///
 /// # Errors
-/// As [`act`]; also if the service has no such run, or it is not the active one.
+/// As [`act`]; also if the run is not the active one.
 pub async fn stop(args: &StopArgs) -> CliResult<()> {
-    let Some(run) = &args.run else { return act(&args.act, "stop", json!({})).await };
-    let client = embed::server(&args.act.at).await?;
-    let run = find_run(&client, run).await?;
-    request(&client, ActedRun::from(&run), &args.act, "stop", json!({})).await
+    act(&args.act, args.run.as_deref(), "stop", json!({})).await
 }
 
 /// Runs `palpate abort`.
 ///
 /// # Errors
-/// As [`act`]; also if the service has no such run.
+/// As [`act`].
 pub async fn abort(args: &AbortArgs) -> CliResult<()> {
-    let Some(run) = &args.run else {
-        return match act(&args.act, "abort", json!({})).await {
-            Err(CliError::Idle) => abort_motion(&args.act).await,
-            done => done,
-        };
-    };
-    let client = embed::server(&args.act.at).await?;
-    let run = find_run(&client, run).await?;
-    request(&client, ActedRun::from(&run), &args.act, "abort", json!({})).await
+    match act(&args.act, args.run.as_deref(), "abort", json!({})).await {
+        Err(CliError::Idle) => abort_motion(&args.act).await,
+        done => done,
+    }
 }
 
 /// Aborts a homing or a jog.

@@ -124,18 +124,12 @@ impl BenchArgs {
 mod tests {
     use super::*;
 
-    fn named(change: impl FnOnce(&mut BenchArgs)) -> BenchArgs {
-        let mut args = BenchArgs::default();
-        change(&mut args);
-        args
-    }
-
     #[test]
     fn a_bench_is_virtual_unless_a_rig_file_is_named() {
-        let rig = || Some(PathBuf::from("rig.toml"));
         assert!(BenchArgs::default().is_virtual());
-        assert!(!named(|args| args.rig = rig()).is_virtual());
-        assert!(named(|args| (args.rig, args.on_virtual) = (rig(), true)).is_virtual());
+        let named = BenchArgs { rig: Some("rig.toml".into()), ..BenchArgs::default() };
+        assert!(!named.is_virtual());
+        assert!(BenchArgs { on_virtual: true, ..named }.is_virtual());
     }
 
     #[test]
@@ -161,26 +155,22 @@ mod tests {
     }
 
     #[test]
-    fn options_of_the_virtual_rig_are_refused_for_a_rig_file_and_outside_their_limits() {
-        let rig = || Some(PathBuf::from("rig.toml"));
-        let words = |args: BenchArgs| args.check().err().map(|error| error.to_string());
-        assert_eq!(words(BenchArgs::default()), None);
-        let refused = words(named(|args| (args.rig, args.speed) = (rig(), Some(5.0)))).unwrap();
-        assert!(refused.contains("--virtual"), "{refused}");
-        let both = named(|args| {
-            (args.rig, args.speed, args.on_virtual) = (rig(), Some(5.0), true);
-        });
-        assert_eq!(words(both), None);
-        let refused = words(named(|args| args.speed = Some(0.0))).unwrap();
-        assert!(refused.contains("--speed = 0"), "{refused}");
-        let gap = |name: &str| words(named(|args| args.gap = Some(name.into()))).unwrap();
-        assert!(gap("no/such/gap.toml").starts_with("no/such/gap.toml: there is no such file"));
-        let unknown = gap("gap-z");
-        assert!(unknown.contains("gap-a, gap-b"), "{unknown}");
-        assert_eq!(words(named(|args| args.gap = Some("gap-b".into()))), None);
-        let fault = |name: &str| words(named(|args| args.fault = Some(name.into())));
-        assert_eq!(fault("each-kind"), None);
-        let unknown = fault("each-kin").unwrap();
-        assert!(unknown.contains("did you mean `each-kind`?"), "{unknown}");
+    fn options_of_the_virtual_rig_are_for_a_simulated_rig_and_have_limits() {
+        let simulated = BenchArgs {
+            rig: Some("rig.toml".into()),
+            speed: Some(5.0),
+            on_virtual: true,
+            ..BenchArgs::default()
+        };
+        let gap = BenchArgs { gap: Some("gap-b".into()), ..BenchArgs::default() };
+        let fault = BenchArgs { fault: Some("each-kind".into()), ..BenchArgs::default() };
+        for bench in [BenchArgs::default(), simulated, gap, fault] {
+            bench.check().unwrap();
+        }
+        let stopped = BenchArgs { speed: Some(0.0), ..BenchArgs::default() };
+        let unknown = BenchArgs { fault: Some("each-kin".into()), ..BenchArgs::default() };
+        for bench in [stopped, unknown] {
+            assert!(bench.check().is_err(), "{bench:?}");
+        }
     }
 }

@@ -256,36 +256,6 @@ fn text_of(file: &str) -> Option<String> {
 mod tests {
     use super::*;
 
-    fn in_folder(text: &str, problem: impl Fn(&str) -> Problem) -> String {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("e.toml");
-        std::fs::write(&path, text).unwrap();
-        let file = path.display().to_string();
-        let text = drawn(&problem(&file).into(), &Renderer::plain(), None);
-        text.replace(&file, "e.toml")
-    }
-
-    #[test]
-    fn a_value_is_drawn_in_its_line() {
-        let text = "name = \"é\"\n[real_hex]\nblock = 0\n";
-        let drawn = in_folder(text, |file| Problem::new(file, "real_hex.block", 0, "must be 1"));
-        let wanted =
-            "error: real_hex.block: must be 1\n --> e.toml:3:9\n  |\n3 | block = 0\n  |         ^";
-        assert_eq!(drawn, wanted);
-        let drawn =
-            in_folder(text, |file| Problem::new(file, "real_hex.tips", "absent", "must be given"));
-        assert!(drawn.contains("error: real_hex.tips is missing"), "{drawn}");
-        assert!(drawn.contains("2 | [real_hex]"), "{drawn}");
-    }
-
-    #[test]
-    fn a_line_that_controls_the_terminal_is_escaped() {
-        let at = Place { line: 1, column: 1, length: 4 };
-        let drawn =
-            in_folder("\u{1b}[31m = 1\n", |file| Problem::whole(file, "no key").at(Some(at)));
-        assert!(drawn.contains(r"\u{1b}[31m") && !drawn.contains('\u{1b}'), "{drawn}");
-    }
-
     /// The answer to a command line that is none.
     fn answer(line: &str) -> String {
         let all = Command::augment_subcommands(clap::Command::new("palpate"));
@@ -306,23 +276,6 @@ mod tests {
         assert!(words.contains("a similar argument exists: '--speed'"), "{words}");
         assert!(!words.contains("did you mean"), "{words}");
         assert!(!answer("plan quickstart --xyzzy").contains("did you mean"));
-    }
-
-    #[test]
-    fn an_unknown_command_is_answered_with_the_one_that_was_meant() {
-        for (word, meant) in [
-            ("quickstart", "`palpate run quickstart`"),
-            ("jog", "`palpate rig jog`"),
-            ("export", "`palpate dataset export`"),
-        ] {
-            let words = answer(word);
-            let first = format!(
-                "error: unrecognized subcommand '{word}'\n\n  tip: did you mean {meant}?\n"
-            );
-            assert!(words.starts_with(&first), "{words}");
-            assert!(words.contains("\n\nUsage: "), "{words}");
-        }
-        assert!(!answer("nonsense").contains("did you mean"));
     }
 
     #[test]

@@ -22,7 +22,7 @@ use crate::schedule::preflight::Preflight;
 use crate::syntax::parse_toml;
 
 /// Name of the carried rig file in problems.
-pub const DEFAULT_RIG_FILE: &str = "experiments/rigs/virtual.toml";
+const DEFAULT_RIG_FILE: &str = "experiments/rigs/virtual.toml";
 /// The default rig: the virtual one.
 pub const DEFAULT_RIG: &str = include_str!("../../experiments/rigs/virtual.toml");
 /// Name of the default skin's differences from the model.
@@ -31,6 +31,8 @@ pub const DEFAULT_GAP: &str = "gap-a";
 const DEFAULT_SENSOR_FILE: &str = "experiments/sensors/ert-28.toml";
 /// The default skin.
 pub const DEFAULT_SENSOR: &str = include_str!("../../experiments/sensors/ert-28.toml");
+/// Carried files of a kind: name and text.
+pub type CarriedFiles = &'static [(&'static str, &'static str)];
 /// The default skin's seed.
 pub const DEFAULT_SKIN_SEED: u64 = 3;
 
@@ -157,11 +159,7 @@ pub fn read_input(path: &Path) -> CliResult<String> {
 ///
 /// # Errors
 /// `CliError::Problems` if there is neither, with the carried names, or the file is of another kind.
-pub fn read_or_carried(
-    kind: FileKind,
-    path: &Path,
-    files: &'static [(&'static str, &'static str)],
-) -> CliResult<String> {
+pub fn read_or_carried(kind: FileKind, path: &Path, files: CarriedFiles) -> CliResult<String> {
     let name = path.to_str().filter(|_| !path.exists());
     if let Some(text) = name.and_then(|name| carried::text(files, name)) {
         return Ok(text.to_owned());
@@ -200,7 +198,7 @@ pub fn read_or_carried(
 pub fn on_disk(
     kind: FileKind,
     named: &Path,
-    files: &'static [(&'static str, &'static str)],
+    files: CarriedFiles,
     folder: &Path,
     name: &str,
 ) -> CliResult<PathBuf> {
@@ -284,7 +282,7 @@ fn parse_sensor(file: &str, text: &str) -> CliResult<Sensor> {
 }
 
 /// The error of a file with problems; of a file of another kind only this is reported.
-pub fn of_kind(kind: FileKind, file: &str, text: &str, problems: Vec<Problem>) -> CliError {
+fn of_kind(kind: FileKind, file: &str, text: &str, problems: Vec<Problem>) -> CliError {
     CliError::Problems(match kind.instead_of(text) {
         Some(words) => vec![Problem::whole(file, words)],
         None => problems,
@@ -342,29 +340,10 @@ mod tests {
     }
 
     #[test]
-    fn a_missing_sensor_file_is_named_with_the_key_that_names_it() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("new/e.toml");
-        let text = "name = \"e\"\nseed = 1\nsensor = \"none.toml\"\n[real_hex]\ntips = [1]\n\
-                    configurations = 1\n";
-        write(&path, text).unwrap();
-        let error = ExperimentFiles::read(&path).err().unwrap();
-        let shown = error.to_string();
-        assert!(shown.contains("sensor = none.toml"), "{shown}");
-        assert_eq!(error.exit_code(), std::process::ExitCode::from(2));
-    }
-
-    #[test]
     fn a_sensor_is_named_as_its_default() {
         let named = |name: &str| read_sensor(Some(Path::new(name))).map(|(_, text)| text);
         assert_eq!(named("ert-28").unwrap(), DEFAULT_SENSOR);
         let unknown = named("ert-29").unwrap_err().to_string();
         assert!(unknown.contains("did you mean `ert-28`?"), "{unknown}");
-    }
-
-    #[test]
-    fn a_sensor_key_outside_its_shape_is_named() {
-        let error = parse_sensor("s.toml", "name = 3\n").err().unwrap().to_string();
-        assert!(error.starts_with("s.toml: name = 3"), "{error}");
     }
 }

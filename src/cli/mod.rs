@@ -381,9 +381,6 @@ async fn answer(command: Command) -> CliResult<ExitCode> {
     Ok(ExitCode::SUCCESS)
 }
 
-/// Carried files of a kind: name and text.
-type CarriedFiles = &'static [(&'static str, &'static str)];
-
 /// Returns the named files of a virtual rig: rig, gap and sensor. A name without a file is that of a carried one; it,
 /// and the default of what is not named, are written to a folder.
 ///
@@ -391,10 +388,7 @@ type CarriedFiles = &'static [(&'static str, &'static str)];
 /// `CliError::Problems` if a named file cannot be read, `File` if a carried one cannot be written.
 pub fn virtual_rig_files(folder: &Path, named: [Option<PathBuf>; 3]) -> CliResult<[PathBuf; 3]> {
     let [rig, gap, sensor] = named;
-    let file = |kind: FileKind,
-                carried: CarriedFiles,
-                named: Option<PathBuf>,
-                [name, default]: [&str; 2]| match named {
+    let file = |kind, carried, named: Option<PathBuf>, [name, default]: [&str; 2]| match named {
         Some(path) => files::on_disk(kind, &path, carried, folder, name),
         None => files::write_in(folder, name, default),
     };

@@ -4,6 +4,7 @@
 //! another failure, such as a full disk, is kept until the end of the command: one that drives a rig continues.
 
 use std::borrow::Cow;
+use std::ffi::OsStr;
 use std::fmt::Display;
 use std::io::{self, IsTerminal, Write};
 
@@ -173,14 +174,8 @@ fn words(line: &str) -> Vec<String> {
             Some(last) => *last += &format!(" {word}"),
             None => words.push(word.into()),
         }
-        is_open = match (
-            word.starts_with("[env:") || word.starts_with("[default:"),
-            word.contains(']'),
-        ) {
-            (_, true) => false,
-            (true, false) => true,
-            (false, false) => is_open,
-        };
+        is_open |= word.starts_with("[env:") || word.starts_with("[default:");
+        is_open &= !word.contains(']');
     }
     words
 }
@@ -215,7 +210,12 @@ pub fn is_coloured() -> bool {
 
 /// Whether `NO_COLOR` is set, and not empty.
 pub fn no_color() -> bool {
-    std::env::var_os("NO_COLOR").is_some_and(|value| !value.is_empty())
+    has_text(std::env::var_os("NO_COLOR").as_deref())
+}
+
+/// Whether a variable of the environment is set, and not empty.
+fn has_text(value: Option<&OsStr>) -> bool {
+    value.is_some_and(|value| !value.is_empty())
 }
 
 /// Returns a text as it may reach the terminal: control characters are escaped, except ends of lines and
@@ -262,6 +262,12 @@ mod tests {
         kept(Err(io::ErrorKind::PermissionDenied.into()), &first, || true);
         let words = CliError::Unsaid(first.lock().take().unwrap()).to_string();
         assert!(words.starts_with("standard output: no space is left on this disk;"), "{words}");
+    }
+
+    #[test]
+    fn any_text_of_no_color_switches_colours_off() {
+        assert!(has_text(Some("1".as_ref())));
+        assert!(!has_text(Some("".as_ref())) && !has_text(None));
     }
 
     #[test]

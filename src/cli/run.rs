@@ -97,7 +97,11 @@ pub async fn run(args: RunArgs) -> CliResult<ExitCode> {
     let ((run, closing), client, process) = match server {
         Some(client) => (drive(&client, &order, &mut signals).await?, client, None),
         None => {
-            sound(&order.files, &rig)?;
+            // An experiment that the rig cannot run is rejected before anything is started.
+            let problems = order.files.preflight(&rig).problems;
+            if !problems.is_empty() {
+                return Err(problems.into());
+            }
             // The skin on the bench is that of the experiment.
             make_folder(&data).map_err(|source| ServeError::Data { path: data.clone(), source })?;
             let sensor = data.join("sensor.toml");
@@ -118,12 +122,6 @@ pub async fn run(args: RunArgs) -> CliResult<ExitCode> {
     };
     let url = process.is_none().then(|| client.url());
     Ok(closed(&closing, &closing.next_commands(&data, url, args.new), output))
-}
-
-/// Rejects an experiment that the rig cannot run, before anything is started.
-fn sound(files: &ExperimentFiles, rig: &RigFiles) -> CliResult<()> {
-    let problems = files.preflight(rig).problems;
-    if problems.is_empty() { Ok(()) } else { Err(CliError::Problems(problems)) }
 }
 
 /// Brings the rig up, starts the run and follows it, like any client. No summary: the run was left to the service.

@@ -249,10 +249,6 @@ mod tests {
         assert_eq!(words("wanted", wanted).unwrap(), shown);
         assert_eq!(words("state", json!({ "state": "running" })), None);
         assert_eq!(words("touch_off", json!({})), None);
-        let unreached = json!({ "attempt": 1, "why": "no answer" });
-        assert_eq!(words("not_resumed", unreached).unwrap(), "not resumed: no answer");
-        let twins = json!({ "level": "warn", "words": "median FVU 0.35, limit 0.30" });
-        assert_eq!(words("twins", twins).unwrap(), "twins: median FVU 0.35, limit 0.30");
     }
 
     #[test]

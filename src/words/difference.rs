@@ -3,7 +3,7 @@
 
 use std::collections::BTreeSet;
 
-use serde_json::{Map, Value};
+use serde_json::Value;
 
 /// First difference of two JSON values.
 #[derive(Debug, Clone, PartialEq)]
@@ -29,8 +29,7 @@ fn walk(path: &str, there: &Value, here: &Value) -> Option<Difference> {
         let keys: BTreeSet<&String> = a.keys().chain(b.keys()).collect();
         return keys.into_iter().find_map(|key| {
             let path = if path.is_empty() { key.clone() } else { format!("{path}.{key}") };
-            let of = |map: &Map<String, Value>| map.get(key).cloned();
-            walk(&path, &of(a).unwrap_or(Value::Null), &of(b).unwrap_or(Value::Null))
+            walk(&path, &there[key], &here[key])
         });
     }
     let shown = |value: &Value| match value {

@@ -100,22 +100,17 @@ fn shown(value: &str) -> String {
 
 /// Place of a span of bytes: it ends with its first line, and has at least one character.
 pub fn place(text: &str, span: &Range<usize>) -> Place {
-    let start = floor(text, span.start.min(text.len()));
+    let start = text.floor_char_boundary(span.start);
     let before = &text[..start];
     let line_start = before.rfind('\n').map_or(0, |at| at + 1);
     let rest = text[start..].lines().next().unwrap_or_default();
-    let end = floor(rest, span.end.saturating_sub(start).min(rest.len()));
+    let end = rest.floor_char_boundary(span.end.saturating_sub(start));
     let number = |count: usize| u32::try_from(count).unwrap_or(u32::MAX);
     Place {
         line: number(before.matches('\n').count() + 1),
         column: number(text[line_start..start].chars().count() + 1),
         length: number(rest[..end].chars().count().max(1)),
     }
-}
-
-/// The end of the last whole character up to a byte.
-fn floor(text: &str, at: usize) -> usize {
-    (0..=at).rev().find(|at| text.is_char_boundary(*at)).unwrap_or(0)
 }
 
 #[cfg(test)]

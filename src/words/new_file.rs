@@ -128,7 +128,8 @@ impl NewFile {
     /// If syncing or renaming fails; a file that could not be renamed is removed.
     pub fn finish(mut self, name: &str) -> io::Result<Finished> {
         self.file.sync_all()?;
-        self.rename(name)?;
+        fs::rename(&self.partial, self.folder.join(name))?;
+        self.finished = true;
         File::open(&self.folder)?.sync_all()?;
         Ok(Finished { bytes: self.bytes, sha256: std::mem::take(&mut self.sha256).finish() })
     }
@@ -158,12 +159,6 @@ impl NewFile {
             Err(error) if error.kind() == io::ErrorKind::AlreadyExists => Ok(()),
             done => done,
         }
-    }
-
-    fn rename(&mut self, name: &str) -> io::Result<()> {
-        fs::rename(&self.partial, self.folder.join(name))?;
-        self.finished = true;
-        Ok(())
     }
 }
 

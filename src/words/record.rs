@@ -7,7 +7,7 @@
 
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
-use strum::{IntoStaticStr, VariantArray};
+use strum::{EnumMessage, IntoStaticStr, VariantArray};
 use utoipa::ToSchema;
 
 use crate::ids::{RunUid, TrialKey};
@@ -166,13 +166,13 @@ impl Label {
 }
 
 /// Possible fault of a stored trial.
-#[derive(
-    Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema, IntoStaticStr, VariantArray,
-)]
+// The comments of the variants are shown to people.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
+#[derive(EnumMessage, IntoStaticStr, VariantArray)]
 #[strum(serialize_all = "snake_case")]
 pub enum Flag {
-    /// Forces still changed when the longest settling time ended.
+    /// The forces still changed when the longest settling time ended.
     Unsettled,
     /// A voltage channel was saturated.
     SaturatedChannels,
@@ -186,7 +186,7 @@ pub enum Flag {
     StillCell,
     /// The cells measure a load to which the skin does not respond.
     SilentSkin,
-    /// The skin contradicted the placement of the weights, and a person stored it anyway.
+    /// It was stored although the skin felt a weight in another place.
     Doubted,
 }
 
@@ -196,18 +196,7 @@ impl Flag {
 
     /// What the flag means, in one sentence.
     pub fn about(self) -> &'static str {
-        match self {
-            Self::Unsettled => "The forces still changed when the longest settling time ended.",
-            Self::SaturatedChannels => "A voltage channel was saturated.",
-            Self::InjectionSum => "An injection sum is not zero within noise.",
-            Self::DroppedFrames => "Frames were lost between the raw frames of this trial.",
-            Self::DepthMissed => {
-                "The measured depth differs from its target by more than the tolerance."
-            }
-            Self::StillCell => "An attached cell measured no force where its tip must press.",
-            Self::SilentSkin => "The cells measure a load to which the skin does not respond.",
-            Self::Doubted => "It was stored although the skin felt a weight in another place.",
-        }
+        self.get_documentation().unwrap_or_default()
     }
 
     /// Name of the flag, as stored and shown.
@@ -258,16 +247,9 @@ impl TrialRecord {
     pub fn mean_voltages_v(&self) -> Vec<f32> {
         let n = self.frames.len() as f64;
         let channels = self.frames.first().map_or(0, |f| f.counts.len());
-        (0..channels)
-            .map(|i| {
-                let sum: f64 = self
-                    .frames
-                    .iter()
-                    .map(|f| f64::from(f.counts[i]) * f64::from(f.volts_per_count))
-                    .sum();
-                (sum / n) as f32
-            })
-            .collect()
+        let v = |f: &FrameRecord, i: usize| f64::from(f.counts[i]) * f64::from(f.volts_per_count);
+        let sum_v = |i| self.frames.iter().map(|f| v(f, i)).sum::<f64>();
+        (0..channels).map(|i| (sum_v(i) / n) as f32).collect()
     }
 }
 

@@ -142,11 +142,6 @@ mod tests {
         problems.iter().map(Problem::to_string).collect()
     }
 
-    fn problem(text: &str) -> String {
-        let [problem] = <[String; 1]>::try_from(all_problems(text)).unwrap();
-        problem
-    }
-
     #[test]
     fn all_keys_that_are_wrong_are_reported_at_once() {
         let text = "tabel = 3\n[table]\ncuont = 3\nb.c = { d = 4 }\n[[lists]]\ne = 5\n[[lists]]\n";
@@ -163,44 +158,5 @@ mod tests {
         assert_eq!(all_problems(text).len(), 2);
         let many: String = (0..50).map(|n| format!("key{n} = 1\n")).collect();
         assert_eq!(all_problems(&many).len(), PROBLEMS_MAX);
-    }
-
-    #[test]
-    fn an_unknown_key_is_named_with_its_table_value_and_the_keys_there_are() {
-        assert_eq!(
-            problem("# a file\n[table]\ncuont = 3 # three\n"),
-            "f.toml: table.cuont = 3: unknown key; did you mean `count`? (line 3)"
-        );
-        assert_eq!(
-            problem("[tabel]\n"),
-            "f.toml: tabel = a table: unknown key; did you mean `table`? (line 1)"
-        );
-    }
-
-    #[test]
-    fn a_value_of_the_wrong_type_is_named_with_what_is_expected() {
-        assert_eq!(
-            problem("[table]\ncount = -3\n"),
-            "f.toml: table.count = -3: must be a whole number, 0 or more (line 2)"
-        );
-        assert_eq!(
-            problem("[table]\ncount = 3 mm\n"),
-            "f.toml: table.count = 3 mm: a number has no unit: the unit is in the name of its key \
-             (line 2)"
-        );
-    }
-
-    #[test]
-    fn an_error_of_the_syntax_has_its_place() {
-        let text = "[table]\ncount = \"3\n";
-        let at = parse_toml::<File>("f.toml", text).unwrap_err()[0].at.unwrap();
-        assert_eq!((at.line, at.length), (2, 1));
-        assert!((9..=11).contains(&at.column), "{at:?}");
-    }
-
-    #[test]
-    fn a_missing_key_is_named() {
-        assert_eq!(problem(""), "f.toml: table = absent: must be given");
-        assert_eq!(problem("[table]\n"), "f.toml: table.count = absent: must be given (line 1)");
     }
 }

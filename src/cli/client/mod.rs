@@ -401,10 +401,6 @@ mod tests {
         for url in ["http://127.0.0.1:8080", "https://rig.example.org/lab", "http://[::1]:1"] {
             assert_eq!(url_limit(url), None);
         }
-        let without = url_limit("127.0.0.1:8399").unwrap();
-        assert!(without.contains("as http://127.0.0.1:8399"), "{without}");
-        assert!(url_limit("rig:8399").unwrap().contains("http://rig:8399"));
-        assert!(url_limit("ftp://rig").unwrap().contains("must be like"));
         assert!(url_limit("http://").is_some());
     }
 }

@@ -200,8 +200,7 @@ impl JobArgs {
         let logs = self.folder.join(JOB_LOGS);
         fs::create_dir_all(&logs).map_err(CliError::file(&logs))?;
         if !is_same {
-            new_file::write(&self.folder, JOB_FILE, &text)
-                .map_err(|source| CliError::File { path, source })?;
+            new_file::write(&self.folder, JOB_FILE, &text).map_err(CliError::file(&path))?;
         }
         if self.json {
             say_json(&json!({

@@ -147,12 +147,10 @@ pub async fn with_lab(
 
 /// Writes and prints the result of a study.
 async fn show(sheet: &Sheet, args: &LabArgs) -> CliResult<()> {
-    if let Some(folder) = &args.pictures.out {
-        args.pictures.write_all(folder, &sheet.files).await?;
-    }
     let (mut words, mut next) = (sheet.text.trim_end().to_owned(), Next::of(&args.at));
     match &args.pictures.out {
         Some(folder) => {
+            args.pictures.write_all(folder, &sheet.files).await?;
             words += &format!("\n\nnumbers, table and figures in {}", folder.display());
         }
         None => next = next.same_command("with --out DIR", "writes numbers, table and figures"),

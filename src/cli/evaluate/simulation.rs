@@ -44,14 +44,12 @@ pub async fn simulation(client: &Client, args: &SimulationArgs) -> CliResult<()>
     let count = wait_for_twins(client, run.uid, STALLED).await?;
     let path = format!("/api/v1/runs/{}/evaluation/simulation", run.uid);
     let report: SimulationReport = client.showing("scoring the twins").get(&path).await?;
-    if let Some(folder) = &args.pictures.out {
-        let pairs = pairs(client, &run, report.trials).await?;
-        args.pictures.write_all(folder, &files(&run, &report, &pairs)?).await?;
-    }
     let (mut words, mut next) = (text(&run, &report), Next::of(&args.at));
     let number = run.scan_id;
     match &args.pictures.out {
         Some(folder) => {
+            let pairs = pairs(client, &run, report.trials).await?;
+            args.pictures.write_all(folder, &files(&run, &report, &pairs)?).await?;
             words += &format!("\nnumbers, tables and figures in {}", folder.display());
         }
         None => {

@@ -2,8 +2,6 @@
 //! scripts.
 //! Uses: indicatif. Never: a request.
 
-use std::io::IsTerminal;
-
 use indicatif::ProgressBar;
 use serde_json::json;
 use tokio::time::Instant;
@@ -21,8 +19,8 @@ const BETWEEN: &str = " | ";
 
 /// Output: standard error for people, standard output for scripts.
 pub(super) struct Screen {
+    /// Hidden without a terminal.
     bar: ProgressBar,
-    terminal: bool,
     json: bool,
     /// Address of the service, for the commands that are named.
     url: String,
@@ -33,9 +31,8 @@ pub(super) struct Screen {
 
 impl Screen {
     pub(super) fn new(json: bool, url: &str) -> Self {
-        let terminal = std::io::stderr().is_terminal();
         let bar = bar(&format!("{{bar:{BAR_COLUMNS}}} {{human_pos}}/{{human_len}} {{wide_msg}}"));
-        Self { bar, terminal, json, url: url.to_owned(), told: None, stored: None }
+        Self { bar, json, url: url.to_owned(), told: None, stored: None }
     }
 
     pub(super) fn progress(&mut self, run: &RunStatus, status: &StatusView) {
@@ -47,7 +44,7 @@ impl Screen {
         let room = error_width().map(|width| width.saturating_sub(BAR_COLUMNS + counts.len() + 2));
         let parts = |band| progress_parts(run, status, wait.as_deref(), band);
         let words = shown(fitting(room, parts(true).join(BETWEEN), || parts(false)));
-        if !self.terminal && self.is_due(wait.as_deref()) {
+        if self.bar.is_hidden() && self.is_due(wait.as_deref()) {
             self.told = Some((Instant::now(), wait));
             note(format_args!("{counts} {words}"));
         }

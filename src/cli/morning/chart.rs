@@ -16,7 +16,7 @@ use crate::cli::error::{CliError, CliResult};
 use crate::cli::output::{is_coloured, terminal_width};
 
 /// Width without a terminal, characters.
-pub const CHART_WIDTH: u16 = 100;
+const CHART_WIDTH: u16 = 100;
 /// Narrowest and widest picture, characters.
 const NARROWEST: u16 = 40;
 const WIDEST: u16 = 140;

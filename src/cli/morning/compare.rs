@@ -1,7 +1,7 @@
 //! The differences of two runs as numbers: keys of files, forces at the same place and depth, frames.
 //! PURE. Uses: sim-core's quantiles, `answers`. Never: HTTP, a comparison of different places or depths.
 
-use std::collections::{BTreeMap, HashMap};
+use std::collections::{BTreeMap, BTreeSet, HashMap};
 
 use serde::Serialize;
 use sim_core::stats::{quantile, sorted};
@@ -76,9 +76,7 @@ pub fn changes(before: Option<&str>, after: Option<&str>) -> Vec<Change> {
         let change = Change { key: "text".into(), before: whole(before), after: whole(after) };
         return if before == after { Vec::new() } else { vec![change] };
     };
-    let mut keys: Vec<&String> = a.keys().chain(b.keys()).collect();
-    keys.sort();
-    keys.dedup();
+    let keys: BTreeSet<&String> = a.keys().chain(b.keys()).collect();
     let change = |key: &&String| {
         let (before, after) = (a.get(*key).cloned(), b.get(*key).cloned());
         (before != after).then(|| Change { key: (*key).clone(), before, after })

@@ -167,10 +167,9 @@ fn file_words(name: &str, changes: &[Change], a: i64, b: i64) -> String {
 }
 
 fn interval(of: &Difference) -> [String; 3] {
-    let signed = |value: f64| format!("{value:+.2}");
     let interval = of.low_95.zip(of.high_95);
     let interval = interval.map(|(low, high)| format!("{low:+.2} .. {high:+.2}"));
-    [of.n.to_string(), signed(of.median), or_dash(interval)]
+    [of.n.to_string(), format!("{:+.2}", of.median), or_dash(interval)]
 }
 
 fn forces_words(before: &Side, after: &Side, paired: &[Pair]) -> String {
@@ -181,11 +180,9 @@ fn forces_words(before: &Side, after: &Side, paired: &[Pair]) -> String {
         };
         return format!("forces: not compared, {why}");
     }
-    let labels = [before.run().label.as_str(), after.run().label.as_str()];
-    let label = match labels[0] == labels[1] {
-        true => labels[0].to_owned(),
-        false => format!("{} and {}", labels[0], labels[1]),
-    };
+    let mut labels = vec![before.run().label.as_str(), after.run().label.as_str()];
+    labels.dedup();
+    let label = labels.join(" and ");
     let mut table = Table::new(
         "depth, mm> | n> | median, N> | 95 % interval, N>",
         "no force was measured in both runs",

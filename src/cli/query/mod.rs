@@ -2,8 +2,7 @@
 //! Uses: `client`, `table`, `figure::series`. Never: rows in this process but those that it shows.
 
 use std::io::{IsTerminal, Write};
-use std::path::Path;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use clap::Args;

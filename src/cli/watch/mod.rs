@@ -31,6 +31,7 @@ use theme::Theme;
 use super::client::Client;
 use super::error::{CliError, CliResult};
 use super::log::{self, Held};
+use super::output::is_coloured;
 use super::signals::Signals;
 use super::{At, ask, embed, estop};
 
@@ -109,7 +110,7 @@ pub async fn watch(at: &At) -> CliResult<()> {
     tokio::spawn(read::follow_status(client.clone(), runs, send.clone()));
     tokio::spawn(read::follow_rest(client.clone(), of_runs, send.clone()));
     let mut night = Night::new(client.url());
-    let theme = Theme::of(std::env::var_os("NO_COLOR").as_deref());
+    let theme = Theme { colour: is_coloured() };
     let zone = TimeZone::system();
     let mut screen = Screen::open()?;
     let mut keys = keys()?;

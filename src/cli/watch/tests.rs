@@ -266,8 +266,6 @@ fn without_colours_no_cell_has_one_and_states_differ_by_their_symbols() {
         assert!(buffer.content().iter().all(|cell| cell.fg == Color::Reset));
         assert!(buffer.content().iter().all(|cell| cell.bg == Color::Reset));
     }
-    assert_eq!(Theme::of(Some("1".as_ref())), plain);
-    assert_eq!((Theme::of(Some("".as_ref())), Theme::of(None)), (COLOUR, COLOUR));
 }
 
 #[test]

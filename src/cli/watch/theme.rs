@@ -2,8 +2,6 @@
 //! "act"; nothing else is coloured.
 //! PURE. Uses: ratatui's styles. Never: a meaning that only a colour carries.
 
-use std::ffi::OsStr;
-
 use ratatui::style::{Color, Modifier, Style};
 
 use super::night::Mark;
@@ -17,11 +15,6 @@ pub struct Theme {
 }
 
 impl Theme {
-    /// Styles for a value of `NO_COLOR`: any text switches colours off.
-    pub fn of(no_color: Option<&OsStr>) -> Self {
-        Self { colour: no_color.is_none_or(OsStr::is_empty) }
-    }
-
     fn coloured(self, colour: Color) -> Style {
         if self.colour { Style::new().fg(colour) } else { Style::new() }
     }

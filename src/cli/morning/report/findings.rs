@@ -72,9 +72,9 @@ fn end(facts: &Facts) -> Option<Finding> {
     let state = state_words(run);
     if run.exit_status.is_none() {
         return look(format!(
-            "The run has not ended: it is {state}, with {} trials stored. This report is of {}.",
-            stored_words(stored, planned),
-            "what is stored now"
+            "The run has not ended: it is {state}, with {} trials stored. This report is of what is \
+             stored now.",
+            stored_words(stored, planned)
         ));
     }
     if stored + summary.trials_skipped >= planned {

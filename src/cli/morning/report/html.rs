@@ -128,17 +128,13 @@ fn contacts(page: &mut String, facts: &Facts) {
     let counts = facts.summary.contact_counts;
     let stored: u64 = counts.iter().sum();
     let published = table_one(facts.run().kind, stored);
-    let head = published.as_ref().map_or("", |(name, _)| *name);
-    let mut heads = vec!["contacts".to_owned(), "trials".into()];
-    if published.is_some() {
-        heads.push(format!("{head}, Table I, scaled"));
-    }
+    let paper = published.as_ref().map(|(name, _)| format!("{name}, Table I, scaled"));
+    let heads: Vec<&str> = ["contacts", "trials"].into_iter().chain(paper.as_deref()).collect();
     let rows = counts.iter().enumerate().map(|(contacts, count)| {
         let mut row = vec![contacts.to_string(), grouped(*count)];
         row.extend(published.as_ref().map(|(_, all)| format!("{:.1}", all[contacts])));
         row
     });
-    let heads: Vec<&str> = heads.iter().map(String::as_str).collect();
     table(page, &heads, rows, "numbers");
 }
 
