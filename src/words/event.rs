@@ -96,7 +96,20 @@ fn importance_of_state(data: &Value) -> Importance {
     match StoredState::deserialize(&data["state"]).ok() {
         Some(StoredState::Panicked) => Importance::Act,
         Some(StoredState::Paused | StoredState::Interrupted) if !is_wanted => Importance::Notable,
-        _ => Importance::Routine,
+        Some(
+            StoredState::Queued
+            | StoredState::Idle
+            | StoredState::Running
+            | StoredState::Pausing
+            | StoredState::Paused
+            | StoredState::Stopping
+            | StoredState::Aborting
+            | StoredState::Suspending
+            | StoredState::Interrupted
+            | StoredState::Ended
+            | StoredState::Removed,
+        )
+        | None => Importance::Routine,
     }
 }
 
