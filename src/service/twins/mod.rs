@@ -88,7 +88,6 @@ struct Inner {
 #[derive(Debug, thiserror::Error)]
 #[allow(missing_docs, reason = "the message names the fields")]
 pub enum PoolError {
-    /// The store failed.
     #[error(transparent)]
     Store(#[from] StoreError),
     #[error("run {run}: its {file} file cannot be used: {why}")]

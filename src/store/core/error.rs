@@ -35,14 +35,7 @@ pub enum StoreError {
          after it cannot be read; copy both files before any program opens them, and restore the \
          database from a copy"
     )]
-    DamagedLog {
-        /// Path of the database file.
-        path: PathBuf,
-        /// Offset in the log of the first frame that differs from what was written, bytes.
-        at_byte: usize,
-        /// Smallest number of stored transactions at and after this offset.
-        transactions: usize,
-    },
+    DamagedLog { path: PathBuf, at_byte: usize, transactions: usize },
     #[error("migrating the tables of the database {path} failed")]
     Migrate {
         path: PathBuf,
@@ -87,7 +80,6 @@ pub enum StoreError {
     /// A stored value cannot be decoded.
     #[error("{operation}: column {column} holds {value:?}")]
     Unreadable { operation: &'static str, column: &'static str, value: String },
-    /// The database file is damaged.
     #[error("the database is damaged: {}", findings.join("; "))]
     Damaged {
         /// Damage that SQLite or a checksum reported; a damaged trial is named by its id.
