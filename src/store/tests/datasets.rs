@@ -111,16 +111,6 @@ async fn raw_frames_of_an_import_are_kept_as_those_of_a_rig() {
 }
 
 #[tokio::test]
-async fn half_an_import_is_gone_after_the_next_start() {
-    let (_folder, store) = fresh().await;
-    let run = store.begin_import(imported()).await.unwrap();
-    store.import_trials(run.uid, None, vec![elsewhere(0)]).await.unwrap();
-    assert_eq!(store.sweep_imports().await.unwrap(), 1);
-    assert!(all(&store, run.uid).await.is_empty());
-    store.integrity_check().await.unwrap();
-}
-
-#[tokio::test]
 async fn half_a_large_import_is_removed_in_several_transactions() {
     let (_folder, store) = fresh().await;
     let run = store.begin_import(imported()).await.unwrap();

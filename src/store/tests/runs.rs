@@ -400,6 +400,8 @@ async fn nothing_is_stored_for_a_run_that_is_not_there() {
     assert!(store.event(Some(RunUid::new()), "state", serde_json::json!({}), now()).await.is_err());
     let tare = TareRecord { configuration: 0, volts: vec![], samples: 1, at: now() };
     assert!(store.tare(RunUid::new(), &tare).await.is_err());
+    assert!(store.progress_by_configuration(RunUid::new()).await.is_err());
+    assert!(store.wear(RunUid::new()).await.is_err());
     assert!(store.events_since(0, 10, None, &[]).await.unwrap().is_empty());
 }
 
