@@ -4,6 +4,7 @@
 //! A method that reads returns `Sql` or `Read` if its statement fails and `Unreadable` or `Damaged` if a stored
 //! value cannot be decoded or differs from its checksum. A method that writes returns `Sql` if its
 //! statement fails, and `Late` or `Closed` if the writer does not answer; one that reads first also `Read`.
+//! Both return `NoSuchRun` if they are of a run that is not stored.
 
 use std::path::PathBuf;
 
@@ -194,9 +195,6 @@ impl StoreError {
 /// Conversion of a database failure into a [`StoreError`]: `.await.during(OPERATION)?`.
 pub(crate) trait During<T> {
     /// Adds the name of the operation.
-    ///
-    /// # Errors
-    /// `StoreError::Sql` or `Read` if `self` is an error.
     fn during(self, operation: &'static str) -> StoreResult<T>;
 }
 
