@@ -27,7 +27,6 @@ pub enum DatasetError {
     NoDataset { name: String, choices: String, meant: String },
     #[error("dataset {0} has not been made: palpate dataset make {0}")]
     NotMade(String),
-    /// The file was imported before, with the same name, label and sensor. Holds the scan id of the run.
     #[error("this file was imported as run {0}, with the same name, label and sensor")]
     Imported(i64),
     #[error("runs = {0}: no run has this uid, scan id or experiment")]
@@ -54,7 +53,6 @@ pub enum DatasetError {
         "{product} of about {needed} bytes: {free} bytes are free, {kept} of them reserved for runs"
     )]
     DiskFull { product: Product, needed: u64, free: u64, kept: u64 },
-    /// The file of a stored dataset is missing. Holds the id.
     #[error("dataset {0}: its file is missing; make the dataset again by its name")]
     FileMissing(DatasetId),
     #[error(transparent)]

@@ -14,10 +14,8 @@ use crate::{
 
 fn imported() -> NewRun {
     NewRun {
-        kind: RunKind::Imported,
         seed: None,
         rig: None,
-        plan: None,
         label: Label::Measured,
         deadband_n: 0.0,
         ..new_run(RunKind::Imported)

@@ -220,13 +220,10 @@ impl RowsError {
 #[derive(Debug, thiserror::Error)]
 #[allow(missing_docs, reason = "the message names the fields")]
 pub enum FormatError {
-    /// The rows could not be read.
     #[error(transparent)]
     Rows(#[from] RowsError),
-    /// The format cannot hold the type of a column.
     #[error("column {column} of type {kind} cannot be written as {format}")]
     Column { column: String, kind: DataType, format: Format },
-    /// The number of rows differs from the number that was counted.
     #[error("{found} rows were read, {expected} were counted")]
     Count { expected: u64, found: u64 },
     #[error("npz holds columns and cannot be written row by row: choose another format")]
