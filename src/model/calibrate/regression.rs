@@ -38,6 +38,7 @@ pub enum RegressionError<E: std::error::Error + 'static> {
         "{observations} rows are too few for {parameters} unknowns; at least one more is needed"
     )]
     TooFew { observations: usize, parameters: usize },
+    /// The data do not determine the parameter of this index, from 0.
     #[error("the data do not determine unknown {parameter}")]
     Undetermined { parameter: usize },
     #[error("no optimum after {MOST_STEPS} steps")]

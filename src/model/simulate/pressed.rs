@@ -41,6 +41,7 @@ pub enum PressedError {
     /// The model rejects a contact.
     #[error(transparent)]
     Contact(#[from] ContactError),
+    /// No force reaches the depth of the contact of this index, from 0.
     #[error(
         "contact {contact}: {FORCE_MAX_N} N press {deepest_mm:.3} mm deep, less than the depth"
     )]

@@ -77,6 +77,7 @@ enum GatherError {
     /// A process could not be started, or its output not be written.
     #[error("{}: {source}", path.display())]
     File { path: PathBuf, source: io::Error },
+    /// A process ended with an error. Holds it.
     #[error("{0}")]
     Process(String),
     #[error("the service ended: gather again; what was fetched stays")]
