@@ -196,8 +196,7 @@ async fn an_edited_run_has_a_new_plan_and_keeps_its_place() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_run_that_has_begun_is_neither_edited_nor_moved() {
-    let data = folder("desk-begun");
-    let lab = Filled::serve(data).await;
+    let lab = Filled::serve(folder("desk-begun")).await;
     let run = lab.queue(submission(2)).await;
     let data = lab.end().await;
     let store = store(&data).await;

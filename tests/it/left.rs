@@ -28,11 +28,6 @@ async fn stored(data: &Path) -> Vec<(String, i64)> {
     found
 }
 
-/// What is stored of runs 2 and 3, as they were left.
-fn as_left() -> Vec<(String, i64)> {
-    vec![("running".to_owned(), 0), ("queued".to_owned(), 1)]
-}
-
 #[tokio::test(flavor = "multi_thread")]
 async fn a_look_at_the_data_leaves_the_runs_to_the_next_service() {
     let folder = killed("looked-at").await;
@@ -49,5 +44,5 @@ async fn a_look_at_the_data_leaves_the_runs_to_the_next_service() {
     assert!(shown.contains("interrupted"), "{shown}");
     let queue = succeeded(&look(&["queue"]).await);
     assert!(queue.contains("next"), "{queue}");
-    assert_eq!(stored(&folder).await, as_left());
+    assert_eq!(stored(&folder).await, [("running".to_owned(), 0), ("queued".to_owned(), 1)]);
 }

@@ -12,8 +12,8 @@ use tokio::time::timeout;
 use tokio_tungstenite::connect_async;
 use tokio_tungstenite::tungstenite::Message;
 
-use crate::datasets::filled::{Filled, store};
-use crate::old_data::{HALF, NEXT, WHOLE, copy, recorded, served};
+use crate::datasets::filled::Filled;
+use crate::old_data::{HALF, NEXT, WHOLE, recorded, served};
 use crate::support::sensor;
 
 /// Longest wait for a message.
@@ -310,14 +310,4 @@ async fn the_live_status_beats_at_least_once_per_second(lab: &Filled) {
 
 fn list_of(value: &Value) -> usize {
     value.as_array().unwrap().len()
-}
-
-#[tokio::test]
-async fn the_stored_history_of_a_run_that_is_not_stored_is_an_error() {
-    let folder = copy("night-none");
-    let store = store(&folder).await;
-    let none = palpate::ids::RunUid::new();
-    assert!(store.progress_by_configuration(none).await.is_err());
-    assert!(store.wear(none).await.is_err());
-    store.close().await;
 }

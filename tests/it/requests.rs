@@ -5,7 +5,6 @@ use reqwest::Method;
 
 use crate::datasets::filled::{Filled, folder};
 
-/// Whether a text has the form of a uuid.
 fn is_uuid(text: &str) -> bool {
     let groups: Vec<&str> = text.split('-').collect();
     let hexadecimal = groups.iter().all(|group| group.bytes().all(|b| b.is_ascii_hexdigit()));

@@ -21,19 +21,14 @@ pub type DatasetResult<T> = Result<T, DatasetError>;
 #[derive(Debug, thiserror::Error)]
 #[allow(missing_docs, reason = "the message names the fields")]
 pub enum DatasetError {
-    /// Values of a request, a definition or an imported file are invalid.
     #[error("{}", listed(.0))]
     Problems(Vec<Problem>),
-    /// No dataset has this id or name.
     #[error("no dataset {name}: choose from {choices}, or run-N for a run that has ended{meant}")]
     NoDataset { name: String, choices: String, meant: String },
-    /// No dataset of this name has been made.
     #[error("dataset {0} has not been made: palpate dataset make {0}")]
     NotMade(String),
-    /// The file was imported before, with the same name, label and sensor. Holds the scan id of the run.
     #[error("this file was imported as run {0}, with the same name, label and sensor")]
     Imported(i64),
-    /// A definition names a run that does not exist.
     #[error("runs = {0}: no run has this uid, scan id or experiment")]
     NoRun(String),
     /// The run may still get trials. Holds its scan id.
@@ -41,65 +36,39 @@ pub enum DatasetError {
         "run {0} has not ended: read its trials in pages, or request the dataset after its end"
     )]
     NotEnded(i64),
-    /// The definition selects no rows.
     #[error("dataset {name} has no rows: {why}")]
     Empty { name: String, why: String },
-    /// The selected runs have different labels, and the definition names none.
     #[error("label = absent: the runs have different labels ({0}); select one label")]
     Labels(String),
-    /// The selected runs have frames of different lengths.
     #[error(
         "runs: all frames of a dataset must have the same length: {one}, {other}; name the runs"
     )]
-    Channels {
-        /// A run and the length of its frames, as text.
-        one: String,
-        /// Another run and the length of its frames, as text.
-        other: String,
-    },
-    /// The simulated frames come from different models.
+    Channels { one: String, other: String },
     #[error("sim_random = {folder}: simulated with {there}, the other simulated rows with {here}")]
-    Models {
-        /// Name of the folder of shards.
-        folder: String,
-        /// Simulation id of the folder.
-        there: String,
-        /// Simulation id of the twins, or of the first folder if there are no twins.
-        here: String,
-    },
+    Models { folder: String, there: String, here: String },
     /// Trials were removed between the two passes over them.
     #[error("trials were removed while the dataset was made: request it again")]
     Changed,
-    /// The disk has not enough free space.
     #[error(
         "{product} of about {needed} bytes: {free} bytes are free, {kept} of them reserved for runs"
     )]
     DiskFull { product: Product, needed: u64, free: u64, kept: u64 },
-    /// The file of a stored dataset is missing. Holds the id.
     #[error("dataset {0}: its file is missing; make the dataset again by its name")]
     FileMissing(DatasetId),
-    /// Shards cannot be read.
     #[error(transparent)]
     Shards(#[from] ShardsError),
-    /// The store failed.
     #[error(transparent)]
     Store(#[from] StoreError),
-    /// A file could not be read or written.
     #[error("{operation} {path}: {source}", path = path.display())]
     File { operation: &'static str, path: PathBuf, source: io::Error },
-    /// Rows could not be written in the requested format.
     #[error(transparent)]
     Format(#[from] FormatError),
-    /// Columns could not be built or combined.
     #[error(transparent)]
     Arrow(#[from] ArrowError),
-    /// A Parquet file could not be read.
     #[error(transparent)]
     Parquet(#[from] ParquetError),
-    /// A value could not be converted to or from JSON.
     #[error("a value cannot be converted to or from JSON: {0}")]
     Json(serde_json::Error),
-    /// A thread ended before its result.
     #[error("a worker thread ended before its result")]
     Worker,
 }

@@ -23,13 +23,10 @@ const ALL: &str = "*";
 #[derive(Debug, thiserror::Error)]
 #[allow(missing_docs, reason = "the message names the fields")]
 pub enum ShardsError {
-    /// A folder or file cannot be read.
     #[error("reading {path}: {source}", path = path.display())]
     Read { path: PathBuf, source: io::Error },
-    /// No folder of shards has this name.
     #[error("sim_random = {0}: must be a folder with shards under DATA/sim-random")]
     None(String),
-    /// The sha256 of a shard differs from the manifest.
     #[error("{path}: its sha256 differs from the manifest: run `palpate simulate random --verify`", path = path.display())]
     Damaged { path: PathBuf },
     /// The manifest is invalid, or a shard is not a valid Parquet file.

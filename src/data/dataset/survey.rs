@@ -125,7 +125,6 @@ impl<'a> Survey<'a> {
         Ok(())
     }
 
-    /// Whether the part of a trial is drawn.
     fn is_drawn(&self, trial: &TrialRow) -> bool {
         match self.definition.split.by {
             SplitBy::Configuration | SplitBy::Trial => true,

@@ -30,7 +30,6 @@ pub enum CalibrateError {
     /// A measured value is invalid, or the measurements do not determine the model.
     #[error("{}", .0.iter().map(Problem::to_string).collect::<Vec<_>>().join("\n"))]
     Measurements(Vec<Problem>),
-    /// The skin could not be solved with some moduli.
     #[error("solving the skin's surface: {0}")]
     Surface(#[from] ResponsesError),
     /// The fitted moduli are invalid for a sensor.
@@ -42,7 +41,6 @@ pub enum CalibrateError {
          {before:.3} before, {after:.3} after; use more trials (--trials) at more positions"
     )]
     NoBetter { before: f64, after: f64 },
-    /// The plot could not be drawn.
     #[error("drawing the plot: {0}")]
     Plot(String),
 }

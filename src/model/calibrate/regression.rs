@@ -31,27 +31,18 @@ pub struct Prediction<const P: usize> {
 
 /// Why a fit failed.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs, reason = "the message names the fields")]
 pub enum RegressionError<E: std::error::Error + 'static> {
     /// There are not more observations than parameters: the errors cannot be estimated.
     #[error(
         "{observations} rows are too few for {parameters} unknowns; at least one more is needed"
     )]
-    TooFew {
-        /// Number of observations.
-        observations: usize,
-        /// Number of parameters.
-        parameters: usize,
-    },
-    /// The data do not determine a parameter.
+    TooFew { observations: usize, parameters: usize },
+    /// The data do not determine the parameter of this index, from 0.
     #[error("the data do not determine unknown {parameter}")]
-    Undetermined {
-        /// Index of the parameter, from 0.
-        parameter: usize,
-    },
-    /// The steps do not converge.
+    Undetermined { parameter: usize },
     #[error("no optimum after {MOST_STEPS} steps")]
     NoConvergence,
-    /// The model failed.
     #[error(transparent)]
     Model(E),
 }

@@ -149,13 +149,11 @@ pub struct CalibratedSkin {
 #[derive(Debug, thiserror::Error)]
 #[allow(missing_docs, reason = "the message names the fields")]
 pub enum SkinError {
-    /// There are too few trials with contacts.
     #[error(
         "run {run}: {fitted} trials to fit and {held_out} of other configurations to hold out; a \
          skin needs at least {LEAST_TRIALS} and 1"
     )]
     TooFew { run: RunUid, fitted: usize, held_out: usize },
-    /// The fit failed.
     #[error(transparent)]
     Fit(#[from] SkinFitError),
 }

@@ -14,7 +14,6 @@ use crate::problem::Problem;
 #[derive(Debug, thiserror::Error)]
 #[allow(missing_docs, reason = "the message names the fields")]
 pub enum ChunkError {
-    /// The folder contains no work order.
     #[error(
         "{folder}: has no order.json; name a folder that `palpate cluster sbatch` has written",
         folder = folder.display()
@@ -23,30 +22,25 @@ pub enum ChunkError {
     /// The work order is invalid, or this program does not make its chunks.
     #[error("{folder}: {problem}", folder = folder.display())]
     Order { folder: PathBuf, problem: Box<Problem> },
-    /// The folder contains another work order.
     #[error(
         "{folder} contains another work order: {field} = {there}, requested {here}; name another \
          folder, or use the same options",
         folder = folder.display()
     )]
     OtherOrder { folder: PathBuf, field: String, there: String, here: String },
-    /// The work order has no chunk of this index.
     #[error("index = {index}: must be from 0 to {last}")]
     Index { index: u64, last: u64 },
-    /// A file or folder could not be read or written.
     #[error("{operation} {path}: {}", system_words(source), path = path.display())]
     File { operation: &'static str, path: PathBuf, source: io::Error },
     /// The bytes of a chunk could not be made.
     #[error("chunk {index}: {source}")]
     Make { index: u64, source: MakeFailure },
-    /// A repeated chunk has other bytes than before.
     #[error(
         "chunk {index} was repeated and has sha256 {now}, but {path} states {before}: the same order must \
          give the same bytes; if that file is wrong, remove it",
         path = path.display()
     )]
     NotReproduced { index: u64, path: PathBuf, before: String, now: String },
-    /// Chunks are missing or damaged, or files are of no chunk.
     #[error("{folder} is not complete\n{gaps}\n{}", gaps.remedy(folder), folder = folder.display())]
     Incomplete { folder: PathBuf, gaps: Box<Gaps> },
 }

@@ -36,20 +36,16 @@ pub struct Pressed {
 
 /// Why contacts cannot be simulated.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
+#[allow(missing_docs, reason = "the message names the fields")]
 pub enum PressedError {
     /// The model rejects a contact.
     #[error(transparent)]
     Contact(#[from] ContactError),
-    /// No force reaches the depth.
+    /// No force reaches the depth of the contact of this index, from 0.
     #[error(
         "contact {contact}: {FORCE_MAX_N} N press {deepest_mm:.3} mm deep, less than the depth"
     )]
-    TooDeep {
-        /// Index of the contact, from 0.
-        contact: usize,
-        /// Depth under the largest force, mm.
-        deepest_mm: f64,
-    },
+    TooDeep { contact: usize, deepest_mm: f64 },
 }
 
 /// Simulates contacts. Where other contacts alone press a place deeper than requested, the force of

@@ -3,7 +3,7 @@
 
 use axum::Json;
 use axum::extract::{Query, Request};
-use axum::http::{HeaderMap, HeaderValue, header};
+use axum::http::{HeaderMap, header};
 use axum::response::{IntoResponse, Response};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
@@ -392,8 +392,7 @@ pub async fn data(
     let shown = format!("{}.{}", row.id, format.extension());
     let download = Download { name: &shown, immutable: name == row.id.as_str() };
     let mut response = send::file(request, &export_file, format, download).await?;
-    if let Ok(address) = HeaderValue::from_str(&format!("/api/v1/data/{shown}")) {
-        response.headers_mut().insert(header::CONTENT_LOCATION, address);
-    }
+    let address = format!("/api/v1/data/{shown}");
+    send::set(&mut response, header::CONTENT_LOCATION, &address);
     Ok(response)
 }

@@ -43,7 +43,6 @@ pub struct Latched {
 /// person.
 #[derive(Debug, Default)]
 pub struct Stopper {
-    /// Number of requests.
     requests: AtomicU64,
     noted: Mutex<Option<Named>>,
 }
@@ -89,7 +88,6 @@ impl Stopper {
     }
 }
 
-/// Words of the latch.
 fn latch_words(name: &str) -> String {
     format!("emergency stop ({})", cut(name, WHO_MAX_CHARS))
 }

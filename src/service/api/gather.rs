@@ -66,30 +66,20 @@ pub enum GatherState {
 /// Why an order is not gathered.
 #[derive(Debug, thiserror::Error)]
 enum GatherError {
-    /// The space that is reserved for runs is not free.
     #[error(
         "{free} bytes of the disk are free, {} are reserved for runs: free some, then gather again",
         KEPT_FREE_BYTES
     )]
-    DiskFull {
-        /// Free space, bytes.
-        free: u64,
-    },
+    DiskFull { free: u64 },
     /// Another order is gathered. Holds its folder.
     #[error("{0} is being gathered: wait for its end")]
     Busy(String),
     /// A process could not be started, or its output not be written.
     #[error("{}: {source}", path.display())]
-    File {
-        /// The program, or the file of its output.
-        path: PathBuf,
-        /// Error of the operating system.
-        source: io::Error,
-    },
-    /// A process ended with an error.
+    File { path: PathBuf, source: io::Error },
+    /// A process ended with an error. Holds it.
     #[error("{0}")]
     Process(String),
-    /// The service ends.
     #[error("the service ended: gather again; what was fetched stays")]
     ServiceEnded,
 }

@@ -59,7 +59,6 @@ pub enum LockFileError {
         path.display()
     )]
     Held { what: String, holder: String, path: PathBuf },
-    /// The lock file cannot be opened or written.
     #[error("lock file {}: {}", path.display(), system_words(source))]
     File { path: PathBuf, source: io::Error },
 }

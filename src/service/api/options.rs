@@ -55,36 +55,26 @@ pub struct ServeOptions {
 #[derive(Debug, thiserror::Error)]
 #[allow(missing_docs, reason = "the message names the fields")]
 pub enum ServeError {
-    /// The rig file is invalid.
     #[error("{}", problems.iter().map(ToString::to_string).collect::<Vec<_>>().join("\n"))]
     Rig { problems: Vec<crate::problem::Problem> },
-    /// The data folder cannot be created or made private.
     #[error("{}", data_words(path, source))]
     Data { path: PathBuf, source: std::io::Error },
-    /// Another process uses the rig or the data folder.
     #[error(transparent)]
     Locked(#[from] LockFileError),
-    /// The store cannot be opened.
     #[error("{}", error_chain(.0))]
     Store(#[from] StoreError),
-    /// The address is not available.
     #[error("listening at {bind}: {}; choose another address with --bind", system_words(source))]
     Bind { bind: SocketAddr, source: std::io::Error },
-    /// The address is reachable from other machines, and there is no API key.
     #[error(
         "bind = {0}: must be a loopback address while there is no API key; run `palpate key create NAME`"
     )]
     NoKey(SocketAddr),
-    /// Every request needs a key, and there is none.
     #[error("require-key = true: there is no API key; run `palpate key create NAME --role admin`")]
     NoKeyAtAll,
-    /// The certificate or its key cannot be used.
     #[error("{}", error_chain(.0))]
     Tls(#[from] TlsError),
-    /// The folders of datasets cannot be opened.
     #[error(transparent)]
     Datasets(#[from] DatasetError),
-    /// The folder of models cannot be opened.
     #[error(transparent)]
     Models(#[from] InferError),
     /// The thread of the campaign or of the door cannot be started.

@@ -10,7 +10,7 @@ use arrow_array::{
     UInt32Array, UInt64Array,
 };
 use arrow_schema::{ArrowError, DataType, Field, Schema, SchemaRef, TimeUnit};
-use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
+use axum::http::{HeaderMap, StatusCode, header};
 use axum::response::Response;
 use futures::stream::unfold;
 use jiff::Timestamp;
@@ -25,6 +25,7 @@ use super::encoder::RowEncoder;
 use super::limits::{FRAME_CLIENTS, RECORDED_FRAMES};
 use super::problem::{ApiError, ApiResult, Params};
 use super::query::for_pages;
+use super::send::set;
 use super::turns::place;
 use super::{App, accept};
 use crate::campaign::bench::rig_state::RigState;
@@ -97,9 +98,7 @@ pub async fn record(
     let mut response = encoder.response(batches, "a recording is incomplete");
     let at = Timestamp::now().strftime("%Y-%m-%dT%H%M%S");
     let name = format!("attachment; filename=\"frames-{label}-{at}.{}\"", format.extension());
-    if let Ok(name) = HeaderValue::from_str(&name) {
-        response.headers_mut().insert(header::CONTENT_DISPOSITION, name);
-    }
+    set(&mut response, header::CONTENT_DISPOSITION, &name);
     Ok(response)
 }
 

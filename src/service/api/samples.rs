@@ -29,7 +29,6 @@ const KEPT_MAX: usize = OF_PERIOD * SAMPLES_MINUTES as usize * 60 * 20;
 pub struct Ring(Mutex<VecDeque<ForceSample>>);
 
 impl Ring {
-    /// Adds the samples of a period.
     fn add(&self, samples: &[ForceSample]) {
         let Some(newest) = samples.last() else { return };
         let oldest_ms = newest.at_ms - i64::from(SAMPLES_MINUTES) * 60_000;

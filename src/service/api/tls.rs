@@ -35,17 +35,14 @@ pub struct TlsError {
 
 /// What is wrong with a file of a certificate or a key.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs, reason = "the message names the fields")]
 pub enum TlsCause {
-    /// The file cannot be read.
     #[error("cannot be read")]
     Read(#[source] io::Error),
-    /// The file is not PEM.
     #[error("must be PEM")]
     Pem(#[source] pem::Error),
-    /// The file has no certificate.
     #[error("has no certificate: must be PEM with the line BEGIN CERTIFICATE")]
     NoCertificate,
-    /// The file has no key.
     #[error("has no private key: must be PEM with a line BEGIN .. PRIVATE KEY, not encrypted")]
     NoKey,
     /// The key does not belong to the certificate, or is of a kind that is not supported.

@@ -33,6 +33,7 @@ use crate::campaign::shown::command::{Handle, Request};
 use crate::campaign::spans::run_span;
 use crate::ids::{CalibrationId, RunUid, TrialId};
 use crate::journal::error_chain;
+use crate::problem::listed;
 use crate::rig::setup::RigSetup;
 use crate::schedule::experiment::Experiment;
 use crate::store::{
@@ -88,7 +89,6 @@ struct Inner {
 #[derive(Debug, thiserror::Error)]
 #[allow(missing_docs, reason = "the message names the fields")]
 pub enum PoolError {
-    /// The store failed.
     #[error(transparent)]
     Store(#[from] StoreError),
     #[error("run {run}: its {file} file cannot be used: {why}")]
@@ -302,10 +302,7 @@ impl TwinPool {
         let unusable = |file, why: String| PoolError::File { run: row.scan_id, file, why };
         let force_noise_n = match &row.rig {
             Some(rig) => RigSetup::from_toml("rig", rig)
-                .map_err(|p| {
-                    let words = p.iter().map(ToString::to_string).collect::<Vec<_>>();
-                    unusable("rig", words.join("; "))
-                })?
+                .map_err(|problems| unusable("rig", listed(&problems)))?
                 .force_noise_n()
                 .unwrap_or(0.0),
             // Contacts of an import are used as they are.

@@ -24,9 +24,6 @@ pub struct SkipRow {
 
 impl Store {
     /// Stores a failed attempt. A repetition after a failure does not store it twice.
-    ///
-    /// # Errors
-    /// `NoSuchRun` if the run is not stored; `Sql` or `Closed` if the write fails.
     pub(crate) async fn insert_attempt(
         &self,
         run: RunUid,
@@ -52,9 +49,6 @@ impl Store {
     }
 
     /// Stores that a configuration was given up. A stored skip is not changed.
-    ///
-    /// # Errors
-    /// `NoSuchRun` if the run is not stored; `Sql` or `Closed` if the write fails.
     pub(crate) async fn insert_skip(
         &self,
         run: RunUid,

@@ -11,9 +11,6 @@ use crate::table::checksum;
 
 impl Store {
     /// Stores a tare. A repetition after a failure does not store it twice.
-    ///
-    /// # Errors
-    /// `NoSuchRun` if the run is not stored; `Sql` or `Closed` if the write fails.
     pub(crate) async fn insert_tare(&self, run: RunUid, tare: &TareRecord) -> StoreResult<()> {
         const OPERATION: &str = "storing a tare";
         let scan_id = self.facts_to_write(run, OPERATION).await?.scan_id;
@@ -48,9 +45,6 @@ impl Store {
     }
 
     /// Stores a reference press with its frame and tips. A repetition after a failure does not store it twice.
-    ///
-    /// # Errors
-    /// `NoSuchRun` if the run is not stored; `Sql` or `Closed` if the write fails.
     pub(crate) async fn insert_reference(
         &self,
         run: RunUid,

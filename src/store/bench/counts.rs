@@ -20,9 +20,6 @@ pub struct SettingCount {
 
 impl Store {
     /// Returns the stored and skipped parts of the plan of a run.
-    ///
-    /// # Errors
-    /// `NoSuchRun` if the run is not stored; `Sql` if the read fails.
     pub(crate) async fn read_progress(&self, run: RunUid) -> StoreResult<Progress> {
         const OPERATION: &str = "reading a run's progress";
         let scan_id = self.facts(run, OPERATION).await?.scan_id;

@@ -53,9 +53,6 @@ impl Store {
 
     /// Appends an event with this wall time, and returns it with its number. A repetition after a failure does not
     /// store it twice.
-    ///
-    /// # Errors
-    /// `NoSuchRun` if the run is not stored; `Sql` or `Closed` if the write fails.
     pub(crate) async fn append_event_once(
         &self,
         run: Option<RunUid>,

@@ -9,9 +9,6 @@ use crate::journal::Mounting;
 
 impl Store {
     /// Stores the confirmed number of tips. A repetition after a failure does not store it twice.
-    ///
-    /// # Errors
-    /// `Sql` or `Closed` if the write fails.
     pub(crate) async fn insert_mounting(
         &self,
         mounting: &Mounting,
@@ -34,9 +31,6 @@ impl Store {
 
     /// Returns the last confirmed number of tips; `None` before the first, and after a manual run, during which
     /// tips may be removed.
-    ///
-    /// # Errors
-    /// `Sql` or `Unreadable` if the read fails.
     pub(crate) async fn read_last_mounted(&self) -> StoreResult<Option<Mounting>> {
         // The order of the events holds although the clock was set back.
         let query = sqlx::query(

@@ -90,7 +90,6 @@ impl Store {
         self.change_run(run, "ending a run", query).await
     }
 
-    /// Changes the row of a run.
     async fn change_run(
         &self,
         run: RunUid,

@@ -82,9 +82,6 @@ impl Names {
 /// A type that a column may have.
 pub(crate) trait Value<'r>: sqlx::Decode<'r, Sqlite> + sqlx::Type<Sqlite> {
     /// Returns the value.
-    ///
-    /// # Errors
-    /// `FromSqlError` if it has another type.
     fn of(value: ValueRef<'r>) -> Result<Self, FromSqlError>;
 }
 
@@ -141,7 +138,6 @@ impl<'r> Columns<'r> {
         }
     }
 
-    /// Returns the value of a column.
     pub(crate) fn get<T: Value<'r>>(&self, column: &'static str) -> StoreResult<T> {
         match self.row {
             Source::Copied(row) => row.try_get(column).during(self.operation),
@@ -173,7 +169,6 @@ impl<'r> Columns<'r> {
         T::try_from(value).map(Some).map_err(|_| self.unreadable(column, value))
     }
 
-    /// Returns a time.
     pub(crate) fn time(&self, column: &'static str) -> StoreResult<Timestamp> {
         let text: &str = self.get(column)?;
         text.parse().map_err(|_| self.unreadable(column, text))

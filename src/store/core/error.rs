@@ -4,6 +4,7 @@
 //! A method that reads returns `Sql` or `Read` if its statement fails and `Unreadable` or `Damaged` if a stored
 //! value cannot be decoded or differs from its checksum. A method that writes returns `Sql` if its
 //! statement fails, and `Late` or `Closed` if the writer does not answer; one that reads first also `Read`.
+//! Both return `NoSuchRun` if they are of a run that is not stored.
 
 use std::path::PathBuf;
 
@@ -35,14 +36,7 @@ pub enum StoreError {
          after it cannot be read; copy both files before any program opens them, and restore the \
          database from a copy"
     )]
-    DamagedLog {
-        /// Path of the database file.
-        path: PathBuf,
-        /// Offset in the log of the first frame that differs from what was written, bytes.
-        at_byte: usize,
-        /// Smallest number of stored transactions at and after this offset.
-        transactions: usize,
-    },
+    DamagedLog { path: PathBuf, at_byte: usize, transactions: usize },
     #[error("migrating the tables of the database {path} failed")]
     Migrate {
         path: PathBuf,
@@ -87,7 +81,6 @@ pub enum StoreError {
     /// A stored value cannot be decoded.
     #[error("{operation}: column {column} holds {value:?}")]
     Unreadable { operation: &'static str, column: &'static str, value: String },
-    /// The database file is damaged.
     #[error("the database is damaged: {}", findings.join("; "))]
     Damaged {
         /// Damage that SQLite or a checksum reported; a damaged trial is named by its id.
@@ -202,9 +195,6 @@ impl StoreError {
 /// Conversion of a database failure into a [`StoreError`]: `.await.during(OPERATION)?`.
 pub(crate) trait During<T> {
     /// Adds the name of the operation.
-    ///
-    /// # Errors
-    /// `StoreError::Sql` or `Read` if `self` is an error.
     fn during(self, operation: &'static str) -> StoreResult<T>;
 }
 

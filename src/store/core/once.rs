@@ -3,7 +3,7 @@
 //! wall clock may jump.
 
 use jiff::Timestamp;
-use sqlx::sqlite::{SqliteConnection, SqliteRow};
+use sqlx::sqlite::SqliteConnection;
 
 use super::columns::{Columns, row};
 use super::{During, Store, StoreResult};
@@ -52,8 +52,7 @@ pub struct OnceRow {
 }
 
 impl OnceRow {
-    fn read(row: &SqliteRow, operation: &'static str) -> StoreResult<Self> {
-        let c = Columns::of(row, operation);
+    fn read(c: &Columns<'_>) -> StoreResult<Self> {
         let response = match c.get("status")? {
             Some(status) => {
                 Some(row!(c, OnceResponse { status }, get: location, content_type, body))
@@ -98,7 +97,7 @@ impl Store {
                         .fetch_one(connection)
                         .await
                         .during(OPERATION)?;
-                return OnceRow::read(&row, OPERATION).map(Some);
+                return OnceRow::read(&Columns::of(&row, OPERATION)).map(Some);
             }
             let surplus = sqlx::query(KEEP_NEWEST).bind(key.caller()).bind(most);
             surplus.execute(connection).await.during(OPERATION)?;

@@ -160,7 +160,6 @@ impl Store {
             .await
     }
 
-    /// Returns the dataset that `sql` selects by `value`.
     async fn one_dataset(&self, sql: &'static str, value: &str) -> StoreResult<Option<DatasetRow>> {
         let query = sqlx::query(sql).bind(value);
         self.row("reading a dataset", query, DatasetRow::read).await

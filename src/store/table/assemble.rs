@@ -152,18 +152,8 @@ fn trial_row(
             contacts,
             forces_n,
             arms,
-            target: pose([
-                c.get("target_x_mm")?,
-                c.get("target_y_mm")?,
-                c.get("target_z_mm")?,
-                c.get("target_radius_mm")?,
-            ]),
-            reached: pose([
-                c.get("reached_x_mm")?,
-                c.get("reached_y_mm")?,
-                c.get("reached_z_mm")?,
-                c.get("reached_radius_mm")?,
-            ]),
+            target: pose(c, ["target_x_mm", "target_y_mm", "target_z_mm", "target_radius_mm"])?,
+            reached: pose(c, ["reached_x_mm", "reached_y_mm", "reached_z_mm", "reached_radius_mm"])?,
             flags: match c.get("flags")? {
                 "[]" => Vec::new(),
                 _ => c.json("flags")?,
@@ -185,7 +175,8 @@ fn trial_row(
 }
 
 /// Returns a pose from its four columns: x, y, z and radius, mm; `None` if one of them is NULL.
-pub(crate) fn pose(parts: [Option<f64>; 4]) -> Option<Pose> {
-    let [x_mm, y_mm, z_mm, radius_mm] = parts;
-    Some(Pose { x_mm: x_mm?, y_mm: y_mm?, z_mm: z_mm?, radius_mm: radius_mm? })
+fn pose(c: &Columns<'_>, columns: [&'static str; 4]) -> StoreResult<Option<Pose>> {
+    let [x, y, z, radius] = columns.map(|column| c.get::<Option<f64>>(column));
+    let all = x?.zip(y?).zip(z?.zip(radius?));
+    Ok(all.map(|((x_mm, y_mm), (z_mm, radius_mm))| Pose { x_mm, y_mm, z_mm, radius_mm }))
 }

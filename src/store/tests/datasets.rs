@@ -14,10 +14,8 @@ use crate::{
 
 fn imported() -> NewRun {
     NewRun {
-        kind: RunKind::Imported,
         seed: None,
         rig: None,
-        plan: None,
         label: Label::Measured,
         deadband_n: 0.0,
         ..new_run(RunKind::Imported)
@@ -108,16 +106,6 @@ async fn raw_frames_of_an_import_are_kept_as_those_of_a_rig() {
     // One of several is missing: no mean alone.
     execute(&store, "DELETE FROM frames WHERE n = 1").await;
     assert!(!findings(&store).await.is_empty());
-}
-
-#[tokio::test]
-async fn half_an_import_is_gone_after_the_next_start() {
-    let (_folder, store) = fresh().await;
-    let run = store.begin_import(imported()).await.unwrap();
-    store.import_trials(run.uid, None, vec![elsewhere(0)]).await.unwrap();
-    assert_eq!(store.sweep_imports().await.unwrap(), 1);
-    assert!(all(&store, run.uid).await.is_empty());
-    store.integrity_check().await.unwrap();
 }
 
 #[tokio::test]

@@ -5,7 +5,7 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use super::{Folder, execute, fresh, hex_trial, new_run, open};
+use super::{Folder, execute, fresh, hex_trial, new_run, open, with_run};
 use crate::clock::Clock;
 use crate::journal::Journal;
 use crate::{RunKind, Sharing, Soundness, Store, StoreError, TrialQuery};
@@ -45,8 +45,7 @@ async fn a_database_is_read_in_place_and_nothing_is_written() {
 
 #[tokio::test]
 async fn a_database_is_read_with_its_log_while_it_is_written() {
-    let (folder, store) = fresh().await;
-    let run = store.create_run(new_run(RunKind::RealHex)).await.unwrap().uid;
+    let (folder, store, run) = with_run(RunKind::RealHex).await;
     store.trial(run, &hex_trial(0, 0, &[9.0, 7.5])).await.unwrap();
     let (database, path) = (folder.file(), folder.0.path().join("elsewhere.db"));
     assert!(Store::is_current(&database, Sharing::Written).await);

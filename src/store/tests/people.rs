@@ -107,12 +107,11 @@ async fn what_was_said_last_of_the_tips_counts() {
 
 #[tokio::test]
 async fn tips_are_not_known_after_a_manual_run() {
-    let (_folder, store) = fresh().await;
+    let (_folder, store, run) = with_run(RunKind::RealRandom).await;
     let said = Mounting { tips: 4, live_cells: 4, who: "Ada".into() };
     let (before, during, after) =
         (time("2026-11-20T18:00:00Z"), time("2026-11-20T19:00:00Z"), time("2026-11-20T20:00:00Z"));
     let running = StateChange::to(StoredState::Running);
-    let run = store.create_run(new_run(RunKind::RealRandom)).await.unwrap().uid;
     store.mounted(&said, before).await.unwrap();
     assert_eq!(store.last_mounted().await.unwrap(), Some(said.clone()));
     store.run_state(run, running, during).await.unwrap();
@@ -125,10 +124,9 @@ async fn tips_are_not_known_after_a_manual_run() {
 
 #[tokio::test]
 async fn tips_are_not_known_after_a_manual_run_although_the_clock_was_set_back() {
-    let (_folder, store) = fresh().await;
+    let (_folder, store, run) = with_run(RunKind::RealRandom).await;
     let said = Mounting { tips: 4, live_cells: 4, who: "Ada".into() };
     let (early, late) = (time("2026-11-20T18:00:00Z"), time("2026-11-20T20:00:00Z"));
-    let run = store.create_run(new_run(RunKind::RealRandom)).await.unwrap().uid;
     let mount = async |at| {
         store.mounted(&said, at).await.unwrap();
         store.event(None, "tips", json!({}), at).await.unwrap();

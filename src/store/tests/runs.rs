@@ -1,7 +1,7 @@
 //! Runs and the queue: numbers, provenance, states, ends, order.
 //! Uses: `store`, `journal`. Never: trials (see `trials.rs`).
 
-use super::{execute, findings, fresh, hex_trial, new_run, now, open, time};
+use super::{execute, findings, fresh, hex_trial, new_run, now, open, time, with_run};
 use crate::ids::RunUid;
 use crate::journal::{ExitStatus, Journal};
 use crate::record::TareRecord;
@@ -152,10 +152,7 @@ async fn open_runs_that_are_left_are_read_as_interrupted_and_stay_as_they_are_st
 
 #[tokio::test]
 async fn a_stop_by_a_person_is_stored_also_of_open_runs_that_are_left() {
-    let (folder, store) = fresh().await;
-    let new = new_run(RunKind::RealHex);
-    let uid = new.uid;
-    store.create_run(new).await.unwrap();
+    let (folder, store, uid) = with_run(RunKind::RealHex).await;
     store.run_state(uid, StateChange::to(StoredState::Running), now()).await.unwrap();
     store.leave_open_runs();
     store.interrupt_open_runs(None).await.unwrap();
@@ -403,6 +400,8 @@ async fn nothing_is_stored_for_a_run_that_is_not_there() {
     assert!(store.event(Some(RunUid::new()), "state", serde_json::json!({}), now()).await.is_err());
     let tare = TareRecord { configuration: 0, volts: vec![], samples: 1, at: now() };
     assert!(store.tare(RunUid::new(), &tare).await.is_err());
+    assert!(store.progress_by_configuration(RunUid::new()).await.is_err());
+    assert!(store.wear(RunUid::new()).await.is_err());
     assert!(store.events_since(0, 10, None, &[]).await.unwrap().is_empty());
 }
 

@@ -41,14 +41,12 @@ async fn what_is_pending_is_what_is_not_there() {
 
     let failure = TwinOutcome::Failure("a contact off the skin".into());
     let twins = vec![frame(ids[0], 0.1), Twin { trial: ids[1], outcome: failure }];
-    store.insert_twins(first, twins).await.unwrap();
+    store.insert_twins(first, twins.clone()).await.unwrap();
     // Again, with another number: the stored twin does not change.
     store.insert_twins(first, vec![frame(ids[0], 0.9)]).await.unwrap();
     assert_eq!(pending(first, TrialId(0)).await, ids[2..]);
-    let failure = TwinOutcome::Failure("a contact off the skin".into());
-    let stored = vec![frame(ids[0], 0.1), Twin { trial: ids[1], outcome: failure }];
-    assert_eq!(store.twins_of(first, &ids).await.unwrap(), stored);
-    assert_eq!(store.twins_of(first, &ids[1..2]).await.unwrap(), stored[1..]);
+    assert_eq!(store.twins_of(first, &ids).await.unwrap(), twins);
+    assert_eq!(store.twins_of(first, &ids[1..2]).await.unwrap(), twins[1..]);
     let count = store.twin_count(run, first).await.unwrap();
     assert_eq!((count.trials, count.twins, count.failures, count.pending()), (5, 1, 1, 3));
     assert_eq!(store.runs_with_trials().await.unwrap(), [run]);

@@ -151,8 +151,7 @@ async fn nets_are_trained_scored_promoted_and_asked() {
     let (_, raw) = answered(raw).await;
     assert_eq!(raw[0]["force_map_n"], answers[0]["force_map_n"]);
 
-    let data = lab.end().await;
-    let lab = Filled::serve(data).await;
+    let lab = Filled::serve(lab.end().await).await;
     let serving = lab.get("/api/v1/serving").await;
     assert_eq!(serving["serves"][1], json!({ "slot": "map", "what": maps }));
     let (status, back) = lab.post("/api/v1/serving/roll-back", json!({ "slot": "map" })).await;
@@ -175,8 +174,7 @@ async fn a_training_goes_on_after_a_restart_and_stops_when_it_is_told() {
     let recipe = json!({ "recipe": transfer_net("same", 300) });
     let (_, job) = lab.post("/api/v1/trainings", recipe).await;
     lab.until(&path_of(&job), LIMIT, |job| job["progress"]["epoch"].as_u64() >= Some(20)).await;
-    let data = lab.end().await;
-    let lab = Filled::serve(data).await;
+    let lab = Filled::serve(lab.end().await).await;
     let done = lab.job(&job).await;
     assert_eq!(done["result"]["model"], json!(undisturbed), "{done}");
 
@@ -369,8 +367,7 @@ async fn touches_without_forces_are_learned_and_scored_and_no_force_is_made_up()
     // Promoted, it answers by slot and sensor, also after a restart, next to what serves on the rig.
     let of_mat = json!({ "slot": "map", "sensor": "mat", "what": net });
     assert_eq!(lab.posted("/api/v1/serving", json!({ "what": net }), 200).await, of_mat);
-    let data = lab.end().await;
-    let lab = Filled::serve(data).await;
+    let lab = Filled::serve(lab.end().await).await;
     let serving = lab.get("/api/v1/serving").await;
     assert_eq!((&serving["sensor"], &serving["elsewhere"]), (&json!("ert-28"), &json!([of_mat])));
     let of_rig = serving["serves"].as_array().unwrap();

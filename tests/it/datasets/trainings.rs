@@ -48,10 +48,9 @@ fn nice(process: i32) -> i32 {
 }
 
 impl Filled {
-    async fn asked(&self, recipe: &str) -> (Value, String) {
+    async fn asked(&self, recipe: &str) -> String {
         let job = self.posted("/api/v1/trainings", json!({ "recipe": recipe }), 202).await;
-        let id = job["id"].as_str().unwrap().to_owned();
-        (job, id)
+        job["id"].as_str().unwrap().to_owned()
     }
 
     /// Waits for a training after this one; returns its id.
@@ -88,7 +87,7 @@ impl Filled {
 async fn the_same_request_resumes_from_the_checkpoint_of_a_killed_or_a_stopped_training() {
     let lab = Filled::open("training-killed").await;
     let recipe = transfer_net("endless", 1_000_000);
-    let (_, first) = lab.asked(&recipe).await;
+    let first = lab.asked(&recipe).await;
     lab.learns(&first, 30).await;
     // The end of the service makes the trainer write a checkpoint.
     let lab = Filled::serve(lab.end().await).await;
@@ -110,12 +109,12 @@ async fn the_same_request_resumes_from_the_checkpoint_of_a_killed_or_a_stopped_t
     );
     // Another request does not resume from a checkpoint that is not its own.
     let kept = lab.data.join("jobs").join(&first).join("checkpoint.bin");
-    let (_, other) = lab.asked(&recipe.replace("seed = 1", "seed = 2")).await;
+    let other = lab.asked(&recipe.replace("seed = 1", "seed = 2")).await;
     lab.learns(&other, 2).await;
     assert!(kept.exists());
     let others = lab.first_loss(&other).await;
     lab.post(&format!("/api/v1/jobs/{other}/stop"), Value::Null).await;
-    let (_, second) = lab.asked(&recipe).await;
+    let second = lab.asked(&recipe).await;
     let again = lab.learns(&second, 1).await;
     assert!(again >= 30 && !kept.exists(), "{again} after {resumed}");
     let own = lab.first_loss(&second).await;
@@ -123,7 +122,7 @@ async fn the_same_request_resumes_from_the_checkpoint_of_a_killed_or_a_stopped_t
     assert_ne!(own["train_loss"], others["train_loss"]);
     lab.post(&format!("/api/v1/jobs/{second}/stop"), Value::Null).await;
     // The trainer writes a checkpoint before it ends.
-    let (_, third) = lab.asked(&recipe).await;
+    let third = lab.asked(&recipe).await;
     let once_more = lab.learns(&third, 1).await;
     assert!(once_more >= 30, "{once_more} after {again}");
     lab.post(&format!("/api/v1/jobs/{third}/stop"), Value::Null).await;

@@ -24,7 +24,6 @@ mod commands;
 mod readings;
 mod skins;
 
-/// Uniform from `low` to `high`.
 fn uniform(chance: &mut Chance, low: f64, high: f64) -> f64 {
     low + (high - low) * f64::from(chance.below(1 << 24)) / f64::from((1 << 24) - 1)
 }

@@ -7,13 +7,13 @@
 //! code follow, up to `[exit N]`.
 
 use std::fmt::Write;
-use std::io::{BufRead, BufReader, Read, Write as _};
+use std::io::{Read, Write as _};
 use std::net::TcpListener;
 use std::path::Path;
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
-use crate::support::{Folder, PALPATE, Process, copy_folder, with_responses};
+use crate::support::{Folder, PALPATE, copy_folder, served, with_responses};
 
 /// Longest wait for the service, and for a state of a run.
 const LIMIT: Duration = Duration::from_secs(120);
@@ -173,12 +173,9 @@ fn mistakes_beside_a_service_are_answered_as_the_table_says() {
     with_responses(&lab.folder.join("data"));
     let mut serve = lab.command(PALPATE);
     serve.args(["serve", "--bind", "127.0.0.1:0", "--speed", "100"]);
-    serve.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::null());
-    let mut service = Process(serve.spawn().unwrap());
-    let mut line = String::new();
-    BufReader::new(service.0.stdout.take().unwrap()).read_line(&mut line).unwrap();
-    let url = line.split_once(" at ").unwrap_or_else(|| panic!("no service: {line}")).1;
-    lab.url = url.split(',').next().unwrap().into();
+    serve.stdin(Stdio::null()).stderr(Stdio::null());
+    let (_service, url) = served(&mut serve);
+    lab.url = url;
     lab.masks.push((lab.url.trim_start_matches("http://").into(), "127.0.0.1:PORT"));
     check(&lab, "service.txt");
 }

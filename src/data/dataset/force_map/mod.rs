@@ -72,24 +72,18 @@ pub const TABLE_IV_MAPS: [ForceMapSpec; 12] = [
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[allow(missing_docs, reason = "the message names the fields")]
 pub enum ForceMapError {
-    /// The text is not two or three numbers with an `x` between them.
     #[error(
         "force map `{text}`: must be pixel x diameter in mm, as in 4x20, or with a side, as in 2.5x10x100"
     )]
     Syntax { text: String },
-    /// The square is too small or too large.
     #[error("side {side_mm} mm: must be from {} to {} mm", SIDES_MM.0, SIDES_MM.1)]
     Side { side_mm: f64 },
-    /// The pixel is too small or too large.
     #[error("pixel {pixel_mm} mm: must be from {least_mm} to {most_mm} mm")]
     PixelRange { pixel_mm: f64, least_mm: f64, most_mm: f64 },
-    /// The pixels do not fill the square.
     #[error("pixel {pixel_mm} mm: must divide {side_mm} mm, the side of the map")]
     PixelDivides { pixel_mm: f64, side_mm: f64 },
-    /// The map diameter is not positive, or too large.
     #[error("diameter {diameter_mm} mm: must be above 0 and at most {most_mm} mm")]
     Diameter { diameter_mm: f64, most_mm: f64 },
-    /// The skin is larger than the square.
     #[error(
         "skin of {width_mm} x {height_mm} mm: sides must be above 0 and at most {side_mm} mm, the side of \
          the map"

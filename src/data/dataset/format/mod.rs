@@ -220,31 +220,22 @@ impl RowsError {
 #[derive(Debug, thiserror::Error)]
 #[allow(missing_docs, reason = "the message names the fields")]
 pub enum FormatError {
-    /// The rows could not be read.
     #[error(transparent)]
     Rows(#[from] RowsError),
-    /// The format cannot hold the type of a column.
     #[error("column {column} of type {kind} cannot be written as {format}")]
     Column { column: String, kind: DataType, format: Format },
-    /// The number of rows differs from the number that was counted.
     #[error("{found} rows were read, {expected} were counted")]
     Count { expected: u64, found: u64 },
-    /// NPZ cannot be written as a stream.
     #[error("npz holds columns and cannot be written row by row: choose another format")]
     NotAStream,
-    /// Parquet could not be encoded or written.
     #[error("cannot write Parquet")]
     Parquet(#[from] ParquetError),
-    /// Arrow or JSON could not be encoded or written.
     #[error("cannot write Arrow columns")]
     Arrow(#[from] ArrowError),
-    /// CSV could not be encoded or written.
     #[error("cannot write CSV")]
     Csv(#[from] ::csv::Error),
-    /// The container of an NPZ could not be written.
     #[error("cannot write the NPZ container")]
     Zip(#[from] ZipError),
-    /// The output could not be written.
     #[error("cannot write the output")]
     Io(#[from] io::Error),
 }

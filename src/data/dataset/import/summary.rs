@@ -47,7 +47,6 @@ pub struct Summary {
     pub tags: BTreeMap<String, u64>,
 }
 
-/// Extends a range by a value.
 fn extend(range: &mut Option<[f64; 2]>, value: f64) {
     let [least, most] = range.unwrap_or([value; 2]);
     *range = Some([least.min(value), most.max(value)]);

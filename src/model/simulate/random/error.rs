@@ -11,42 +11,28 @@ use sim_core::batch::BatchError;
 #[derive(Debug, thiserror::Error)]
 #[allow(missing_docs, reason = "the message names the fields")]
 pub enum RandomError {
-    /// The folder contains shards of another definition.
     #[error(
         "{folder} contains shards of another definition: {field} = {there}, requested {here}; \
          name another folder, or use the same options to resume",
         folder = folder.display()
     )]
     OtherDefinition { folder: PathBuf, field: String, there: String, here: String },
-    /// The folder contains Parquet files without a manifest.
     #[error(
         "{folder} contains {file} and no manifest: it was not made by this command",
         folder = folder.display()
     )]
     Foreign { folder: PathBuf, file: String },
-    /// Another process writes into the folder.
     #[error("another process writes into {folder}", folder = folder.display())]
     Busy { folder: PathBuf },
     /// The manifest is not valid JSON.
     #[error("reading {path}: {source}", path = path.display())]
     Manifest { path: PathBuf, source: serde_json::Error },
-    /// A file or folder could not be read or written.
     #[error("{operation} {path}: {source}", path = path.display())]
     File { operation: &'static str, path: PathBuf, source: io::Error },
-    /// A shard could not be encoded or written.
     #[error("writing {file}: {source}")]
     Encode { file: String, source: ParquetError },
-    /// A trial could not be simulated.
     #[error("simulating trials {first} to {last}: {source}")]
-    Simulate {
-        /// Number of the first trial of the row group.
-        first: u64,
-        /// Number of the last one.
-        last: u64,
-        /// Error of the model.
-        source: BatchError,
-    },
-    /// A shard that was repeated differs from its entry in the manifest.
+    Simulate { first: u64, last: u64, source: BatchError },
     #[error(
         "{file} was repeated and has sha256 {now}, but the manifest states {before}: the same \
          definition must give the same bytes"

@@ -42,9 +42,6 @@ struct NetHead {
 }
 
 /// Writes the bytes of a chunk.
-///
-/// # Errors
-/// If they cannot be written.
 pub(super) fn write_net(net: &ScoredNet, out: &mut impl Write) -> io::Result<()> {
     let ScoredNet { model, scores } = net;
     let head = NetHead {

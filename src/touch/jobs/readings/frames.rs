@@ -92,7 +92,6 @@ fn scatter_of_text(text: &str) -> Option<Scatter> {
     Some(Scatter { sd_v: sd_v.parse::<f64>().ok()?, spectrum: spectrum? })
 }
 
-/// Voltages from a text with commas.
 fn voltages(text: &str) -> Option<Vec<f32>> {
     text.split(',').map(|number| number.parse::<f32>().ok()).collect()
 }

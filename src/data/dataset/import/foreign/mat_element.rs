@@ -275,7 +275,6 @@ impl Elements<'_> {
     }
 }
 
-/// The character with this code.
 pub(super) fn character(code: f64) -> char {
     char::from_u32(code as u32).unwrap_or(char::REPLACEMENT_CHARACTER)
 }
