@@ -220,8 +220,8 @@ impl Stage {
         Ok(longest_s)
     }
 
-    /// Reads axes before they move or home.
-    async fn read_ready(&self, names: &[AxisName]) -> Result<Vec<AxisStatus>, Halt> {
+    /// Reads axes before they move or home, and z before a tare on request.
+    pub(super) async fn read_ready(&self, names: &[AxisName]) -> Result<Vec<AxisStatus>, Halt> {
         let read = || try_join_all(names.iter().map(|&n| self.driven(n).axis.status()));
         Ok(read_ready(&self.clock, read).await?)
     }

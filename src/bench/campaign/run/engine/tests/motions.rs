@@ -4,12 +4,13 @@ use std::cell::Cell;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 
+use super::super::Engine;
 use super::{answered, engine, latched, parts, signs, suspensions, tripped, with_handle};
 use crate::campaign::bench::interlock::TripKind;
 use crate::campaign::bench::rig_state::RigState;
 use crate::campaign::bench::stage::AxisName;
 use crate::campaign::bench::stand_in::StandIn;
-use crate::campaign::bench::tare::{Accept, tare_untouched};
+use crate::campaign::bench::tare::{Accept, tare_on_request, tare_untouched};
 use crate::campaign::bench::travel::Target;
 use crate::campaign::run::halt::Halt;
 use crate::campaign::safe_end::raise_as_planned;
@@ -161,6 +162,57 @@ async fn an_abort_during_a_tare_waits_for_no_frame() {
         let (tared, aborted) = both.expect("it ends");
         assert!(matches!(tared, Err(Halt::Asked)) && aborted.is_ok(), "{tared:?}");
     }
+}
+
+#[tokio::test]
+async fn a_tare_on_request_is_refused_unless_z_is_measured_clear_of_the_skin() {
+    let (axes, mut engine, handle) = with_handle();
+    // A few newtons, which a tare accepts as an offset.
+    axes.cells.volts.lock()[0] = 0.65;
+    let zeros_v = |engine: &Engine| engine.stage().expect("a stage").tare_v;
+    let (before_v, clear) = (zeros_v(&engine), axes.z.present());
+    for (z, why) in [
+        (AxisStatus { position: 60.0, ..clear }, "z at 60.000 mm, limit "),
+        (AxisStatus { moving: true, ..clear }, "z still moves, at 0.000 mm"),
+        (AxisStatus { homed: false, ..clear }, "z is not homed, and its position is not known"),
+        (AxisStatus { position: -30.0, ..clear }, "z measured at -30.000, outside its travel"),
+        (AxisStatus { alarm: Some(1), ..clear }, "z reports alarm 0x1"),
+        (AxisStatus { ready: false, ..clear }, "z is not ready, without an alarm"),
+    ] {
+        *axes.z.status.lock() = z;
+        let refused = answered(&mut engine, handle.ask(Request::Tare)).await;
+        let Err(Refusal::State(words)) = &refused else { panic!("{why}: {refused:?}") };
+        let (begins, next) = (
+            format!("tare is not possible: {why}"),
+            "; the rig is disarmed: home it first (palpate rig home)",
+        );
+        assert!(words.starts_with(&begins) && words.ends_with(next), "{words}");
+    }
+    assert_eq!(zeros_v(&engine), before_v);
+    let starts = axes.z.starts.load(Ordering::SeqCst);
+    assert_eq!((starts, axes.stops(), latched(&engine)), (0, 0, None), "nothing moves for it");
+    *axes.z.status.lock() = clear;
+    assert_eq!(answered(&mut engine, handle.ask(Request::Tare)).await, Ok(()));
+    assert!(zeros_v(&engine)[0] > before_v[0]);
+}
+
+#[tokio::test]
+async fn a_tare_on_request_keeps_the_last_zeros_if_z_sinks_meanwhile() {
+    let (axes, mut engine) = engine();
+    axes.cells.volts.lock()[0] = 0.65;
+    let (stage, control) = parts(&mut engine);
+    let before_v = stage.tare_v;
+    let tare = tare_on_request(stage, control, None, 4);
+    let sinks = async {
+        while axes.cells.readings.load(Ordering::SeqCst) == 0 {
+            tokio::time::sleep(Duration::from_millis(1)).await;
+        }
+        axes.z.status.lock().position = 60.0;
+    };
+    let (tared, ()) = tokio::join!(tare, sinks);
+    let Err(Halt::Failed(words)) = &tared else { panic!("{tared:?}") };
+    assert!(words.starts_with("tare is not possible: z at 60.000 mm, limit "), "{words}");
+    assert_eq!(stage.tare_v, before_v);
 }
 
 #[tokio::test]
