@@ -11,7 +11,7 @@ use tokio::time::Instant;
 
 use crate::campaign::bench::interlock::{self, TripKind};
 use crate::campaign::bench::sound::{
-    SoundWatch, read_ready, require_no_alarm, require_on, require_zero,
+    HOMING_READY_WITHIN_S, SoundWatch, read_ready, require_no_alarm, require_on, require_zero,
 };
 use crate::campaign::bench::stage::{AxisName, BEYOND_TRAVEL, Driven, GRACE, Stage};
 use crate::campaign::run::control::Control;
@@ -405,6 +405,7 @@ impl Stage {
         }
         let begun = self.clock.now();
         let deadline = begun + self.clock.wall(HOMING_S) + GRACE;
+        let mut sound = vec![SoundWatch::default(); names.len()];
         loop {
             control.attend()?;
             self.require_still_clear(control, &mut clear_at).await?;
@@ -416,6 +417,10 @@ impl Stage {
             if has_begun && read.iter().all(|s| s.homed && !s.moving) {
                 let mut ends = names.iter().zip(&read);
                 return ends.try_for_each(|(&n, s)| self.require_within(n, s, BEYOND_TRAVEL));
+            }
+            for ((&name, status), sound) in names.iter().zip(&read).zip(&mut sound) {
+                let axis = self.driven(name).axis;
+                sound.take_ready_or_moving(&self.clock, axis, status, HOMING_READY_WITHIN_S)?;
             }
             if self.clock.now() > deadline {
                 let left: Vec<&str> = names

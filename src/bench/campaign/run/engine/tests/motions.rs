@@ -8,7 +8,7 @@ use super::super::Engine;
 use super::{answered, engine, latched, parts, signs, suspensions, tripped, with_handle};
 use crate::campaign::bench::interlock::TripKind;
 use crate::campaign::bench::rig_state::RigState;
-use crate::campaign::bench::stage::AxisName;
+use crate::campaign::bench::stage::{AxisName, Height};
 use crate::campaign::bench::stand_in::StandIn;
 use crate::campaign::bench::tare::{Accept, tare_on_request, tare_untouched};
 use crate::campaign::bench::travel::Target;
@@ -16,6 +16,7 @@ use crate::campaign::run::halt::Halt;
 use crate::campaign::safe_end::raise_as_planned;
 use crate::campaign::shown::command::{Refusal, Request};
 use crate::campaign::shown::status::Motion;
+use crate::clock::Clock;
 use crate::rig::traits::AxisStatus;
 
 #[tokio::test]
@@ -250,4 +251,40 @@ async fn a_moving_axis_that_loses_its_zero_or_its_motor_ends_the_motion_before_i
             assert!(detail.contains(words), "{name:?}: {detail}");
         }
     }
+}
+
+#[tokio::test]
+async fn an_axis_whose_motor_goes_off_as_it_homes_ends_the_homing_before_its_deadline() {
+    for is_z in [true, false] {
+        let (axes, mut engine) = engine();
+        let axis = if is_z { &axes.z } else { &axes.radial };
+        let lost = AxisStatus { homed: false, ..axis.present() };
+        *axis.status.lock() = lost;
+        *axis.after_start.lock() = Some(AxisStatus { ready: false, ..lost });
+        let (stage, control) = parts(&mut engine);
+        stage.clock = Clock::new(10.0);
+        let detail = tripped(stage.home(control, None).await, TripKind::Device);
+        let words = if is_z { "z is not ready" } else { "radial is not ready" };
+        assert!(detail.starts_with(words) && detail.contains("its motor is off"), "{detail}");
+    }
+}
+
+#[tokio::test]
+async fn a_raise_without_the_motor_of_z_states_it_before_its_deadline_and_is_tried_again() {
+    let (axes, mut engine) = engine();
+    let off = AxisStatus { position: 60.0, ready: false, ..axes.z.present() };
+    *axes.z.status.lock() = off;
+    *axes.z.after_start.lock() = Some(off);
+    let (stage, control) = parts(&mut engine);
+    stage.clock = Clock::new(10.0);
+    let words = stage.raise_once(Height::Clear, &control.estop).await.unwrap_err();
+    let begins = "z at 60.000 mm, to be raised to ";
+    let states = ": z is not ready, without an alarm: its motor is off";
+    assert!(words.starts_with(begins) && words.contains(states), "{words}");
+    // The second attempt of a safe end moves it.
+    *axes.z.after_start.lock() = Some(off);
+    assert!(engine.make_safe(None, Height::Clear).await, "the tips are up");
+    assert_eq!(axes.z.starts.load(Ordering::SeqCst), 3);
+    assert!(axes.z.present().position < 60.0);
+    assert_eq!(latched(&engine), None);
 }
