@@ -15,8 +15,8 @@ const READY_WITHIN_S: f64 = 0.2;
 /// Longest time for which an axis that homes may be neither ready nor in motion, process s: longer than the pauses between
 /// the phases of a homing.
 pub(super) const HOMING_READY_WITHIN_S: f64 = 3.0;
-/// The same for z in an attempt to raise it, process s. After the last attempt a person must come: all of them together
-/// wait for a drive that switches its motor on again by itself.
+/// The same for z in an attempt to raise it, process s. A person must come after the last one: together they wait 9 s for
+/// a drive that switches its motor on again.
 pub(super) const RAISE_READY_WITHIN_S: f64 = 3.0;
 
 pub(super) fn require_no_alarm(axis: &dyn Axis, status: &AxisStatus) -> Result<(), Halt> {

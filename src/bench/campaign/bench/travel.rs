@@ -414,7 +414,8 @@ impl Stage {
             }
             let has_begun = self.clock.now() >= begun + self.clock.wall(HOMING_BEGINS_S);
             let read = self.in_time(control, clear_at, self.read_homing(names)).await?;
-            if has_begun && read.iter().all(|s| s.homed && !s.moving) {
+            // A drive whose motor is off may keep its earlier zero, as if it were homed.
+            if has_begun && read.iter().all(|s| s.homed && !s.moving && s.ready) {
                 let mut ends = names.iter().zip(&read);
                 return ends.try_for_each(|(&n, s)| self.require_within(n, s, BEYOND_TRAVEL));
             }
@@ -426,7 +427,7 @@ impl Stage {
                 let left: Vec<&str> = names
                     .iter()
                     .zip(&read)
-                    .filter(|(_, s)| !s.homed || s.moving)
+                    .filter(|(_, s)| !s.homed || s.moving || !s.ready)
                     .map(|(&n, _)| self.driven(n).axis.name())
                     .collect();
                 let detail = format!("homing did not end within {HOMING_S} s: {left:?}");

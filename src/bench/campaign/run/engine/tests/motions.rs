@@ -255,12 +255,13 @@ async fn a_moving_axis_that_loses_its_zero_or_its_motor_ends_the_motion_before_i
 
 #[tokio::test]
 async fn an_axis_whose_motor_goes_off_as_it_homes_ends_the_homing_before_its_deadline() {
-    for is_z in [true, false] {
+    // One that keeps its earlier zero is not homed, either.
+    for (is_z, homed) in [(true, false), (false, false), (false, true)] {
         let (axes, mut engine) = engine();
         let axis = if is_z { &axes.z } else { &axes.radial };
-        let lost = AxisStatus { homed: false, ..axis.present() };
-        *axis.status.lock() = lost;
-        *axis.after_start.lock() = Some(AxisStatus { ready: false, ..lost });
+        let before = AxisStatus { homed, ..axis.present() };
+        *axis.status.lock() = before;
+        *axis.after_start.lock() = Some(AxisStatus { ready: false, ..before });
         let (stage, control) = parts(&mut engine);
         stage.clock = Clock::new(10.0);
         let detail = tripped(stage.home(control, None).await, TripKind::Device);
