@@ -210,7 +210,9 @@ async fn a_tare_on_request_keeps_the_last_zeros_if_z_sinks_meanwhile() {
         }
         axes.z.status.lock().position = 60.0;
     };
-    let (tared, ()) = tokio::join!(tare, sinks);
+    let both = async { tokio::join!(tare, sinks) };
+    let both = tokio::time::timeout(Duration::from_secs(30), both).await;
+    let (tared, ()) = both.expect("it ends");
     let Err(Halt::Failed(words)) = &tared else { panic!("{tared:?}") };
     assert!(words.starts_with("tare is not possible: z at 60.000 mm, limit "), "{words}");
     assert_eq!(stage.tare_v, before_v);
