@@ -190,21 +190,21 @@ async fn the_log_says_who_and_why(lab: &Lab, viewer: &str) {
 async fn a_lock_is_held_by_who_took_it(lab: &Lab) {
     let alice = key(lab, "alice", "operator").await;
     let take = |holder: &str| json!({ "holder": holder, "note": "tips are being changed" });
-    let tare = |who: &str| json!({ "action": "tare", "who": who });
+    let enter = |who: &str| json!({ "action": "tips", "tips": 0, "who": who });
     let (_, lock) = ask(lab, Method::PUT, "/api/v1/lock", Some(&alice), take("al")).await;
     assert_eq!(lock["holder"], "alice", "{lock}");
     for claimed in ["alice", "al", "alice (al)", ""] {
-        assert_eq!(ask(lab, Method::POST, RIG, None, tare(claimed)).await.0, 409, "{claimed}");
+        assert_eq!(ask(lab, Method::POST, RIG, None, enter(claimed)).await.0, 409, "{claimed}");
     }
-    assert_eq!(ask(lab, Method::POST, RIG, Some(&alice), tare("al")).await.0, 202);
+    assert_eq!(ask(lab, Method::POST, RIG, Some(&alice), enter("al")).await.0, 202);
     assert_eq!(ask(lab, Method::DELETE, "/api/v1/lock", None, Value::Null).await.0, 204);
     let (_, lock) = ask(lab, Method::PUT, "/api/v1/lock", None, take("eve")).await;
     assert_eq!(lock["holder"], "eve (local)", "{lock}");
-    assert_eq!(ask(lab, Method::POST, RIG, None, tare("bob")).await.0, 409);
-    assert_eq!(ask(lab, Method::POST, RIG, Some(&alice), tare("eve")).await.0, 409);
-    assert_eq!(ask(lab, Method::POST, RIG, None, tare("eve")).await.0, 409);
+    assert_eq!(ask(lab, Method::POST, RIG, None, enter("bob")).await.0, 409);
+    assert_eq!(ask(lab, Method::POST, RIG, Some(&alice), enter("eve")).await.0, 409);
+    assert_eq!(ask(lab, Method::POST, RIG, None, enter("eve")).await.0, 409);
     assert_eq!(ask(lab, Method::DELETE, "/api/v1/lock", None, Value::Null).await.0, 204);
-    assert_eq!(ask(lab, Method::POST, RIG, None, tare("eve")).await.0, 202);
+    assert_eq!(ask(lab, Method::POST, RIG, None, enter("eve")).await.0, 202);
     let actions = lab.get("/api/v1/actions?limit=1").await;
     assert_eq!(actions["items"][0]["who"], "eve (local)");
     // Nor by a key of the same name, nor by one that is called like somebody without a key.

@@ -1,13 +1,15 @@
-//! z is up, and no cell reads a load: checks before another axis moves or homes, and while it does.
-//! Uses: `campaign::{bench::stage, bench::travel, bench::interlock, bench::sound, run::control}`. Never: the plan,
-//! storage, a motion.
+//! z is up, and no cell reads a load: checks before another axis moves or homes, and while it does; and before a person
+//! tares.
+//! Uses: `campaign::{bench::stage, bench::travel, bench::interlock, bench::sound, bench::rig_state, run::control}`.
+//! Never: the plan, storage, a motion.
 
 use futures::future::try_join;
 use tokio::time::Instant;
 
 use crate::campaign::bench::interlock::{self, TripKind};
+use crate::campaign::bench::rig_state::RigState;
 use crate::campaign::bench::sound::{require_no_alarm, require_on, require_zero};
-use crate::campaign::bench::stage::{AxisName, BEYOND_TRAVEL, Stage};
+use crate::campaign::bench::stage::{AxisName, BEYOND_TRAVEL, Driven, Stage};
 use crate::campaign::run::control::Control;
 use crate::campaign::run::halt::Halt;
 use crate::rig::traits::AxisStatus;
@@ -97,6 +99,37 @@ impl Stage {
             }
             control.attend()?;
         }
+    }
+
+    /// Checks before and after a tare that a person requests that z is measured clear of the surface, at rest and with its
+    /// motor on: the load on a tip that touches would become its zero, and the force limits would be too high by it.
+    ///
+    /// # Errors
+    /// `Halt::Failed` if not, with what must be done first: nothing moves because of it. A trip if z does not reply; a
+    /// request meanwhile.
+    pub(super) async fn require_clear_to_tare(&self, control: &mut Control) -> Result<(), Halt> {
+        let z = control.attending(self.read_ready(&[AxisName::Z])).await??[0];
+        let Driven { axis, tolerance, .. } = self.driven(AxisName::Z);
+        let (at, limit) = (z.position, self.clear_z_mm() + tolerance);
+        let is_sound = require_no_alarm(axis, &z)
+            .and_then(|()| require_on(axis, &z))
+            .and_then(|()| self.require_within(AxisName::Z, &z, BEYOND_TRAVEL));
+        let why = if !z.homed {
+            "z is not homed, and its position is not known".to_owned()
+        } else if let Err(halt) = is_sound {
+            halt.as_trip().map_or_else(String::new, |trip| trip.detail.clone())
+        } else if z.moving {
+            format!("z still moves, at {at:.3} mm")
+        } else if at > limit {
+            format!("z at {at:.3} mm, limit {limit:.3} mm to be clear of the skin")
+        } else {
+            return Ok(());
+        };
+        let (rig, next) = match control.rig() {
+            rig @ RigState::Homed => (rig.as_str(), "raise z first (palpate rig home)"),
+            rig => (rig.as_str(), rig.next()),
+        };
+        Err(Halt::Failed(format!("tare is not possible: {why}; the rig is {rig}: {next}")))
     }
 
     /// The oldest of the last sample and of the readings that showed z clear.

@@ -12,6 +12,12 @@ use crate::rig::traits::{Axis, AxisStatus};
 
 /// Longest time for which a drive may not be ready, process s: a moment at the start of a motion, and after its end.
 const READY_WITHIN_S: f64 = 0.2;
+/// Longest time for which an axis that homes may be neither ready nor in motion, process s: longer than the pauses between
+/// the phases of a homing.
+pub(super) const HOMING_READY_WITHIN_S: f64 = 3.0;
+/// The same for z in an attempt to raise it, process s. A person must come after the last one: together they wait 9 s for
+/// a drive that switches its motor on again.
+pub(super) const RAISE_READY_WITHIN_S: f64 = 3.0;
 
 pub(super) fn require_no_alarm(axis: &dyn Axis, status: &AxisStatus) -> Result<(), Halt> {
     let Some(alarm) = status.alarm else { return Ok(()) };
@@ -84,12 +90,38 @@ impl SoundWatch {
         if std::mem::replace(&mut self.has_no_zero, !status.homed) {
             require_zero(axis, status)?;
         }
+        self.take_ready(clock, axis, status, READY_WITHIN_S)
+    }
+
+    /// Takes the next reading of an axis that homes, or of z while it is raised: its zero is not checked, and in motion it
+    /// need not be ready.
+    ///
+    /// # Errors
+    /// A trip if it is neither ready nor in motion for longer than `within_s`, process s.
+    pub(super) fn take_ready_or_moving(
+        &mut self,
+        clock: &Clock,
+        axis: &dyn Axis,
+        status: &AxisStatus,
+        within_s: f64,
+    ) -> Result<(), Halt> {
+        let status = AxisStatus { ready: status.ready || status.moving, ..*status };
+        self.take_ready(clock, axis, &status, within_s)
+    }
+
+    fn take_ready(
+        &mut self,
+        clock: &Clock,
+        axis: &dyn Axis,
+        status: &AxisStatus,
+        within_s: f64,
+    ) -> Result<(), Halt> {
         if status.ready {
             self.off_since = None;
             return Ok(());
         }
         let since = *self.off_since.get_or_insert(status.at);
-        if status.at.saturating_duration_since(since) <= clock.wall(READY_WITHIN_S) {
+        if status.at.saturating_duration_since(since) <= clock.wall(within_s) {
             return Ok(());
         }
         require_on(axis, status)
@@ -128,5 +160,22 @@ mod tests {
             kind(&[after(0, off), after(100, off), after(201, off)]),
             Some(TripKind::Device)
         );
+    }
+
+    #[test]
+    fn a_pause_between_the_phases_of_a_homing_is_no_motor_that_is_off() {
+        let (axes, clock) = (StandIns::default(), Clock::new(1.0));
+        let pauses = AxisStatus { homed: false, ready: false, ..axes.x.present() };
+        let moves = AxisStatus { moving: true, ..pauses };
+        let kind = |readings: &[(u64, AxisStatus)]| {
+            let mut watch = SoundWatch::default();
+            let mut taken = readings.iter().map(|(ms, now)| {
+                let now = AxisStatus { at: pauses.at + Duration::from_millis(*ms), ..*now };
+                watch.take_ready_or_moving(&clock, &*axes.x, &now, HOMING_READY_WITHIN_S)
+            });
+            taken.find_map(Result::err).and_then(|halt| halt.as_trip().map(|trip| trip.kind))
+        };
+        assert_eq!(kind(&[(0, pauses), (3000, pauses), (3001, moves), (5000, pauses)]), None);
+        assert_eq!(kind(&[(0, pauses), (3000, pauses), (3001, pauses)]), Some(TripKind::Device));
     }
 }

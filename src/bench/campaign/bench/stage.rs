@@ -1,6 +1,6 @@
 //! The guarded bench: last readings, active limits, allowed positions of the tips.
 //! Uses: `rig::traits`, `schedule::configuration`, `campaign::{bench::interlock, bench::evidence,
-//! bench::stopping}`. Never: the plan, storage.
+//! bench::sound, bench::stopping}`. Never: the plan, storage.
 //!
 //! Motions are in `travel` and `descent`. Every sample of the cells goes through `check`.
 
@@ -13,6 +13,7 @@ use crate::campaign::bench::evidence::{
     FELT_FRAMES, Held, MeasuredForces, PressedArm, SilentArms, SkinWatch,
 };
 use crate::campaign::bench::interlock::{self, ForceLimits, Outputs, TripKind};
+use crate::campaign::bench::sound::{RAISE_READY_WITHIN_S, SoundWatch};
 use crate::campaign::bench::stopping::{POLL_S, Stopping};
 use crate::campaign::bench::stuck::StuckChannels;
 use crate::campaign::run::control::Control;
@@ -354,7 +355,7 @@ impl Stage {
     /// Raises z and waits until it has arrived, unless it has lost its zero.
     ///
     /// # Errors
-    /// A message if a device does not reply, z reports an alarm or does not arrive in time, or an
+    /// A message if a device does not reply, z reports an alarm, has its motor off or does not arrive in time, or an
     /// e-stop is latched.
     pub(in crate::campaign) async fn raise_once(
         &self,
@@ -386,7 +387,7 @@ impl Stage {
         }
         let seconds = (from.position - up).abs() / z.speed + 1.0;
         let deadline = self.clock.now() + self.clock.wall(1.5 * seconds) + GRACE;
-        let mut deepest_mm = from.position;
+        let (mut deepest_mm, mut sound) = (from.position, SoundWatch::default());
         loop {
             let now = z.axis.status().await.map_err(words)?;
             deepest_mm = deepest_mm.max(now.position);
@@ -404,8 +405,11 @@ impl Stage {
             if estop.pressed().is_some() {
                 return Err("the emergency stop is latched".into());
             }
-            if self.clock.now() > deadline {
-                return Err(format!("z at {:.3} mm, to be raised to {up:.3}", now.position));
+            let is_on = sound.take_ready_or_moving(&self.clock, z.axis, &now, RAISE_READY_WITHIN_S);
+            let why = is_on.err().and_then(|off| off.as_trip().map(|trip| trip.detail.clone()));
+            if why.is_some() || self.clock.now() > deadline {
+                let why = why.map_or_else(String::new, |why| format!(": {why}"));
+                return Err(format!("z at {:.3} mm, to be raised to {up:.3}{why}", now.position));
             }
             self.poll_pause().await;
         }

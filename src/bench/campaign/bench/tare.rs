@@ -1,5 +1,6 @@
-//! Zeros of the cells and of the skin, measured in the air before each configuration, with limits.
-//! Uses: `campaign::bench::stage`. Never: storage.
+//! Zeros of the cells and of the skin, measured in the air before each configuration, with limits; also on request of a
+//! person.
+//! Uses: `campaign::bench::stage`. Never: storage, a motion.
 
 use futures::future::{Either, select};
 
@@ -64,6 +65,28 @@ pub async fn tare_untouched(
     }
     stage.begin_watch();
     Ok(zeros)
+}
+
+/// Tares on request of a person, with any zero, if z is measured clear of the skin before and after it. `entered`: number
+/// of tips, as for `assume_tips`.
+///
+/// # Errors
+/// As [`tare`]; fails as well if z is not clear, not at rest or not homed. The zeros then stay what they were.
+pub async fn tare_on_request(
+    stage: &mut Stage,
+    control: &mut Control,
+    entered: Option<u8>,
+    samples: u32,
+) -> Result<(), Halt> {
+    stage.require_clear_to_tare(control).await?;
+    control.attending(stage.assume_tips(entered)).await??;
+    let last_v = stage.tare_v;
+    tare(stage, control, samples, Accept::AnyZero).await?;
+    let is_clear = stage.require_clear_to_tare(control).await;
+    if is_clear.is_err() {
+        stage.tare_v = last_v;
+    }
+    is_clear
 }
 
 /// Averages `samples` fresh readings of the cells and makes them the zeros, if they are accepted.

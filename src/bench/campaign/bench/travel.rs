@@ -11,7 +11,7 @@ use tokio::time::Instant;
 
 use crate::campaign::bench::interlock::{self, TripKind};
 use crate::campaign::bench::sound::{
-    SoundWatch, read_ready, require_no_alarm, require_on, require_zero,
+    HOMING_READY_WITHIN_S, SoundWatch, read_ready, require_no_alarm, require_on, require_zero,
 };
 use crate::campaign::bench::stage::{AxisName, BEYOND_TRAVEL, Driven, GRACE, Stage};
 use crate::campaign::run::control::Control;
@@ -220,8 +220,8 @@ impl Stage {
         Ok(longest_s)
     }
 
-    /// Reads axes before they move or home.
-    async fn read_ready(&self, names: &[AxisName]) -> Result<Vec<AxisStatus>, Halt> {
+    /// Reads axes before they move or home, and z before a tare on request.
+    pub(super) async fn read_ready(&self, names: &[AxisName]) -> Result<Vec<AxisStatus>, Halt> {
         let read = || try_join_all(names.iter().map(|&n| self.driven(n).axis.status()));
         Ok(read_ready(&self.clock, read).await?)
     }
@@ -405,6 +405,7 @@ impl Stage {
         }
         let begun = self.clock.now();
         let deadline = begun + self.clock.wall(HOMING_S) + GRACE;
+        let mut sound = vec![SoundWatch::default(); names.len()];
         loop {
             control.attend()?;
             self.require_still_clear(control, &mut clear_at).await?;
@@ -413,15 +414,20 @@ impl Stage {
             }
             let has_begun = self.clock.now() >= begun + self.clock.wall(HOMING_BEGINS_S);
             let read = self.in_time(control, clear_at, self.read_homing(names)).await?;
-            if has_begun && read.iter().all(|s| s.homed && !s.moving) {
+            // A drive whose motor is off may keep its earlier zero, as if it were homed.
+            if has_begun && read.iter().all(|s| s.homed && !s.moving && s.ready) {
                 let mut ends = names.iter().zip(&read);
                 return ends.try_for_each(|(&n, s)| self.require_within(n, s, BEYOND_TRAVEL));
+            }
+            for ((&name, status), sound) in names.iter().zip(&read).zip(&mut sound) {
+                let axis = self.driven(name).axis;
+                sound.take_ready_or_moving(&self.clock, axis, status, HOMING_READY_WITHIN_S)?;
             }
             if self.clock.now() > deadline {
                 let left: Vec<&str> = names
                     .iter()
                     .zip(&read)
-                    .filter(|(_, s)| !s.homed || s.moving)
+                    .filter(|(_, s)| !s.homed || s.moving || !s.ready)
                     .map(|(&n, _)| self.driven(n).axis.name())
                     .collect();
                 let detail = format!("homing did not end within {HOMING_S} s: {left:?}");

@@ -33,7 +33,7 @@ const STATUS_COUNT: u16 = 10;
 const MOVE: u16 = 0x9900;
 /// Coil: servo on.
 const COIL_SERVO: u16 = 0x0403;
-/// Coil: alarm reset. While paused it also cancels the remaining travel `[unverified]`.
+/// Coil: alarm reset, by the change from off to on. While paused it also cancels the remaining travel `[unverified]`.
 const COIL_ALARM_RESET: u16 = 0x0407;
 /// Coil: pause. While it is on, the axis decelerates and holds.
 const COIL_PAUSE: u16 = 0x040A;
@@ -151,8 +151,9 @@ impl Drive for Iai {
         vec![on(COIL_ALARM_RESET), off(COIL_ALARM_RESET), off(COIL_PAUSE)]
     }
 
+    /// The coil goes off first: it is still on if the end of an earlier reset was lost, and then has no edge.
     fn reset_requests(&self) -> Vec<Request> {
-        vec![on(COIL_ALARM_RESET), off(COIL_ALARM_RESET)]
+        vec![off(COIL_ALARM_RESET), on(COIL_ALARM_RESET), off(COIL_ALARM_RESET)]
     }
 }
 
@@ -183,6 +184,20 @@ mod tests {
     fn an_acceleration_is_not_exceeded() {
         assert_eq!([98_066.5, 98_066.0, 19_000.0, 1e9].map(centi_g), [10, 9, 1, 300]);
         assert_eq!(DRIVE.acceleration(19_000.0), 9806.65);
+    }
+
+    #[test]
+    fn an_alarm_reset_has_an_edge_although_the_end_of_the_last_one_was_lost() {
+        // As the lost request has left it.
+        let (mut is_on, mut edges) = (true, 0);
+        for request in Iai.reset_requests() {
+            let Request::WriteCoil { address: COIL_ALARM_RESET, on } = request else {
+                panic!("{request}");
+            };
+            edges += u32::from(on && !is_on);
+            is_on = on;
+        }
+        assert_eq!((edges, is_on), (1, false));
     }
 
     #[test]

@@ -156,8 +156,9 @@ impl Drive for OrientalAz {
         vec![input(0)]
     }
 
+    /// The bit goes off first: it is still on if the end of an earlier reset was lost, and then has no edge.
     fn reset_requests(&self) -> Vec<Request> {
-        vec![input(IN_ALARM_RESET), input(0)]
+        vec![input(0), input(IN_ALARM_RESET), input(0)]
     }
 
     /// The current is also part of the block of each motion; homing has its own current, which these do not limit.

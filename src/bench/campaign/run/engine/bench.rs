@@ -430,18 +430,15 @@ impl Engine {
         Ok(Target::of(name, target))
     }
 
-    /// Tare on request. A cell outside its limits is refused; a failing wire, and a suspension of the computer, lead to
-    /// the safe end.
+    /// Tare on request. It is refused unless z is measured clear of the skin, and if a cell is outside its limits; a
+    /// failing wire, and a suspension of the computer, lead to the safe end.
     async fn tare(&mut self) -> Result<(), Refusal> {
         let entered = self.entered_tips();
         let connection = self.connection.as_mut().ok_or_else(no_wires)?;
         let stage = connection.stage.as_mut().ok_or_else(no_stage)?;
         let control = &mut self.control;
-        let tared = async {
-            control.attending(stage.assume_tips(entered)).await??;
-            tare::tare(stage, control, TARE_SAMPLES, tare::Accept::AnyZero).await
-        };
-        let Err(halt) = tared.await else { return Ok(()) };
+        let tared = tare::tare_on_request(stage, control, entered, TARE_SAMPLES).await;
+        let Err(halt) = tared else { return Ok(()) };
         let trip = trip_of(&halt);
         let ends_safe = matches!(trip.kind, TripKind::Wire | TripKind::Device | TripKind::Service);
         if ends_safe && matches!(halt, Halt::Trip(_)) {

@@ -4,17 +4,19 @@ use std::cell::Cell;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 
+use super::super::Engine;
 use super::{answered, engine, latched, parts, signs, suspensions, tripped, with_handle};
 use crate::campaign::bench::interlock::TripKind;
 use crate::campaign::bench::rig_state::RigState;
-use crate::campaign::bench::stage::AxisName;
+use crate::campaign::bench::stage::{AxisName, Height};
 use crate::campaign::bench::stand_in::StandIn;
-use crate::campaign::bench::tare::{Accept, tare_untouched};
+use crate::campaign::bench::tare::{Accept, tare_on_request, tare_untouched};
 use crate::campaign::bench::travel::Target;
 use crate::campaign::run::halt::Halt;
 use crate::campaign::safe_end::raise_as_planned;
 use crate::campaign::shown::command::{Refusal, Request};
 use crate::campaign::shown::status::Motion;
+use crate::clock::Clock;
 use crate::rig::traits::AxisStatus;
 
 #[tokio::test]
@@ -164,6 +166,59 @@ async fn an_abort_during_a_tare_waits_for_no_frame() {
 }
 
 #[tokio::test]
+async fn a_tare_on_request_is_refused_unless_z_is_measured_clear_of_the_skin() {
+    let (axes, mut engine, handle) = with_handle();
+    // A few newtons, which a tare accepts as an offset.
+    axes.cells.volts.lock()[0] = 0.65;
+    let zeros_v = |engine: &Engine| engine.stage().expect("a stage").tare_v;
+    let (before_v, clear) = (zeros_v(&engine), axes.z.present());
+    for (z, why) in [
+        (AxisStatus { position: 60.0, ..clear }, "z at 60.000 mm, limit "),
+        (AxisStatus { moving: true, ..clear }, "z still moves, at 0.000 mm"),
+        (AxisStatus { homed: false, ..clear }, "z is not homed, and its position is not known"),
+        (AxisStatus { position: -30.0, ..clear }, "z measured at -30.000, outside its travel"),
+        (AxisStatus { alarm: Some(1), ..clear }, "z reports alarm 0x1"),
+        (AxisStatus { ready: false, ..clear }, "z is not ready, without an alarm"),
+    ] {
+        *axes.z.status.lock() = z;
+        let refused = answered(&mut engine, handle.ask(Request::Tare)).await;
+        let Err(Refusal::State(words)) = &refused else { panic!("{why}: {refused:?}") };
+        let (begins, next) = (
+            format!("tare is not possible: {why}"),
+            "; the rig is disarmed: home it first (palpate rig home)",
+        );
+        assert!(words.starts_with(&begins) && words.ends_with(next), "{words}");
+    }
+    assert_eq!(zeros_v(&engine), before_v);
+    let starts = axes.z.starts.load(Ordering::SeqCst);
+    assert_eq!((starts, axes.stops(), latched(&engine)), (0, 0, None), "nothing moves for it");
+    *axes.z.status.lock() = clear;
+    assert_eq!(answered(&mut engine, handle.ask(Request::Tare)).await, Ok(()));
+    assert!(zeros_v(&engine)[0] > before_v[0]);
+}
+
+#[tokio::test]
+async fn a_tare_on_request_keeps_the_last_zeros_if_z_sinks_meanwhile() {
+    let (axes, mut engine) = engine();
+    axes.cells.volts.lock()[0] = 0.65;
+    let (stage, control) = parts(&mut engine);
+    let before_v = stage.tare_v;
+    let tare = tare_on_request(stage, control, None, 4);
+    let sinks = async {
+        while axes.cells.readings.load(Ordering::SeqCst) == 0 {
+            tokio::time::sleep(Duration::from_millis(1)).await;
+        }
+        axes.z.status.lock().position = 60.0;
+    };
+    let both = async { tokio::join!(tare, sinks) };
+    let both = tokio::time::timeout(Duration::from_secs(30), both).await;
+    let (tared, ()) = both.expect("it ends");
+    let Err(Halt::Failed(words)) = &tared else { panic!("{tared:?}") };
+    assert!(words.starts_with("tare is not possible: z at 60.000 mm, limit "), "{words}");
+    assert_eq!(stage.tare_v, before_v);
+}
+
+#[tokio::test]
 async fn a_moving_axis_that_loses_its_zero_or_its_motor_ends_the_motion_before_its_deadline() {
     type Change = fn(&mut AxisStatus);
     let restarts = |axis: &mut AxisStatus| axis.homed = false;
@@ -198,4 +253,41 @@ async fn a_moving_axis_that_loses_its_zero_or_its_motor_ends_the_motion_before_i
             assert!(detail.contains(words), "{name:?}: {detail}");
         }
     }
+}
+
+#[tokio::test]
+async fn an_axis_whose_motor_goes_off_as_it_homes_ends_the_homing_before_its_deadline() {
+    // One that keeps its earlier zero is not homed, either.
+    for (is_z, homed) in [(true, false), (false, false), (false, true)] {
+        let (axes, mut engine) = engine();
+        let axis = if is_z { &axes.z } else { &axes.radial };
+        let before = AxisStatus { homed, ..axis.present() };
+        *axis.status.lock() = before;
+        *axis.after_start.lock() = Some(AxisStatus { ready: false, ..before });
+        let (stage, control) = parts(&mut engine);
+        stage.clock = Clock::new(10.0);
+        let detail = tripped(stage.home(control, None).await, TripKind::Device);
+        let words = if is_z { "z is not ready" } else { "radial is not ready" };
+        assert!(detail.starts_with(words) && detail.contains("its motor is off"), "{detail}");
+    }
+}
+
+#[tokio::test]
+async fn a_raise_without_the_motor_of_z_states_it_before_its_deadline_and_is_tried_again() {
+    let (axes, mut engine) = engine();
+    let off = AxisStatus { position: 60.0, ready: false, ..axes.z.present() };
+    *axes.z.status.lock() = off;
+    *axes.z.after_start.lock() = Some(off);
+    let (stage, control) = parts(&mut engine);
+    stage.clock = Clock::new(10.0);
+    let words = stage.raise_once(Height::Clear, &control.estop).await.unwrap_err();
+    let begins = "z at 60.000 mm, to be raised to ";
+    let states = ": z is not ready, without an alarm: its motor is off";
+    assert!(words.starts_with(begins) && words.contains(states), "{words}");
+    // The second attempt of a safe end moves it.
+    *axes.z.after_start.lock() = Some(off);
+    assert!(engine.make_safe(None, Height::Clear).await, "the tips are up");
+    assert_eq!(axes.z.starts.load(Ordering::SeqCst), 3);
+    assert!(axes.z.present().position < 60.0);
+    assert_eq!(latched(&engine), None);
 }
