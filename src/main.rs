@@ -175,9 +175,8 @@ fn ended(outcome: Result<(), impl Display>) -> ExitCode {
     match outcome {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            // A closed pipe is no error.
             let error = cli::in_plain_words(&error.to_string());
-            let _ = writeln!(io::stderr(), "error: {error}");
+            cli::error_drawn(format_args!("error: {error}"));
             ExitCode::FAILURE
         }
     }

@@ -12,7 +12,7 @@ use serde_json::{Value, json};
 
 use super::Command;
 use super::error::CliError;
-use super::output::{Output, error_width, no_color, note_drawn, shown, wrapped};
+use super::output::{Output, error_drawn, error_width, no_color, shown, wrapped};
 use crate::carried::{self, EXPERIMENTS};
 use crate::locate::locate;
 use crate::near::nearest;
@@ -34,10 +34,10 @@ const PARSERS: [(&str, &str); 6] = [
 /// Prints an error on standard error: drawn, or as one line of JSON.
 pub fn report(error: &CliError, output: Output) {
     if output == Output::Json {
-        return note_drawn(body(error));
+        return error_drawn(body(error));
     }
     let renderer = if is_coloured() { Renderer::styled() } else { Renderer::plain() };
-    note_drawn(drawn(error, &renderer, error_width()));
+    error_drawn(drawn(error, &renderer, error_width()));
 }
 
 /// Whether standard error shows colours: it is a terminal, and they are wanted.
@@ -51,11 +51,11 @@ pub fn report_usage(error: &clap::Error, output: Output) {
     if output == Output::Json {
         let words = in_our_words(error, rendered.to_string());
         let detail = words.trim().trim_start_matches("error: ");
-        return note_drawn(json!({ "type": "about:blank", "title": "invalid input",
+        return error_drawn(json!({ "type": "about:blank", "title": "invalid input",
             "exit_code": 2, "detail": shown(detail) }));
     }
     let words = if is_coloured() { rendered.ansi().to_string() } else { rendered.to_string() };
-    note_drawn(in_our_words(error, words).trim_end());
+    error_drawn(in_our_words(error, words).trim_end());
 }
 
 /// The text of an error of the command line with limits as in files, not in the words of Rust.

@@ -1,15 +1,22 @@
-//! Lines of the log in the journal of systemd: whether standard error is connected to it, and their priority.
-//! Uses: rustix. Never: the journal itself (it reads standard error).
+//! Lines of standard error in the journal of systemd: whether it is connected to it, and the priority of each line.
+//! Uses: rustix, the environment. Never: the journal itself (it reads standard error).
 
+use std::borrow::Cow;
 use std::os::fd::AsFd;
 
 use tracing::Level;
+
+/// Whether standard error is connected to the journal.
+pub fn is_behind_stderr() -> bool {
+    let stream = std::env::var("JOURNAL_STREAM");
+    stream.is_ok_and(|stream| is_stream(&stream, std::io::stderr()))
+}
 
 /// Whether a file is the one that `JOURNAL_STREAM` names, by the numbers of its device and inode: standard error may
 /// have been redirected since.
 ///
 /// Source: systemd.exec(5).
-pub fn is_stream(stream: &str, file: impl AsFd) -> bool {
+fn is_stream(stream: &str, file: impl AsFd) -> bool {
     rustix::fs::fstat(file).is_ok_and(|stat| stream == format!("{}:{}", stat.st_dev, stat.st_ino))
 }
 
@@ -25,6 +32,18 @@ pub fn priority(level: Level) -> &'static str {
     }
 }
 
+/// A text for standard error. In the journal each of its lines is an entry, and begins with the priority of its level.
+pub fn with_priority(text: &str, level: Level, is_journal: bool) -> Cow<'_, str> {
+    if !is_journal {
+        return text.into();
+    }
+    let lines = text.split('\n').map(|line| match line {
+        "" => String::new(),
+        line => format!("{}{line}", priority(level)),
+    });
+    lines.collect::<Vec<_>>().join("\n").into()
+}
+
 #[cfg(test)]
 mod tests {
     use std::os::unix::fs::MetadataExt;
@@ -38,5 +57,14 @@ mod tests {
         let stream = format!("{}:{}", of.dev(), of.ino());
         assert!(is_stream(&stream, &file));
         assert!(!is_stream(&stream, &other) && !is_stream("8:x", &file));
+    }
+
+    #[test]
+    fn every_line_of_a_text_in_the_journal_begins_with_the_priority() {
+        let text = "next:\n\n  palpate runs   lists the runs";
+        let prioritised = "<6>next:\n\n<6>  palpate runs   lists the runs";
+        assert_eq!(with_priority(text, Level::INFO, true), prioritised);
+        assert_eq!(with_priority("error: no rig", Level::ERROR, true), "<3>error: no rig");
+        assert_eq!(with_priority(text, Level::ERROR, false), text);
     }
 }

@@ -17,7 +17,7 @@ use tracing_subscriber::filter::{LevelFilter, Targets};
 use tracing_subscriber::fmt::MakeWriter;
 use tracing_subscriber::layer::SubscriberExt;
 
-use super::journal::{is_stream, priority};
+use super::journal::{is_behind_stderr, priority};
 use super::output::no_color;
 use crate::plain::escaped;
 
@@ -107,8 +107,7 @@ pub fn start(args: &LogArgs) -> Option<Log> {
         Err(error) => (None, Some(error)),
     };
     let colours = file.is_none() && io::stderr().is_terminal() && !no_color();
-    let is_journal = file.is_none()
-        && from_env("JOURNAL_STREAM").is_some_and(|stream| is_stream(&stream, io::stderr()));
+    let is_journal = file.is_none() && is_behind_stderr();
     let format = match named.as_str() {
         "json" => Format::Json,
         _ => Format::Text,

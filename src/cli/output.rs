@@ -1,7 +1,7 @@
 //! Output lines for people and for scripts, and numbers with units. All text for people passes through
 //! here: names and notes that other people entered must not control the terminal.
-//! Uses: `plain`, `error`, nix, ratatui (widths). Never: HTTP, decisions. A closed standard output is not an error;
-//! another failure, such as a full disk, is kept until the end of the command: one that drives a rig continues.
+//! Uses: `plain`, `error`, `journal`, nix, ratatui (widths). Never: HTTP, decisions. A closed standard output is not an
+//! error; another failure, such as a full disk, is kept until the end of the command: one that drives a rig continues.
 
 use std::borrow::Cow;
 use std::ffi::OsStr;
@@ -12,8 +12,10 @@ use nix::errno::Errno;
 use parking_lot::Mutex;
 use ratatui::text::Span;
 use serde::Serialize;
+use tracing::Level;
 
 use super::error::{CliError, CliResult};
+use super::journal::{is_behind_stderr, with_priority};
 use crate::plain::escaped_lines;
 pub use crate::plain::{bytes, counted, duration, grouped};
 
@@ -91,7 +93,12 @@ pub fn say_whole(text: impl Display) {
 
 /// Prints one or several lines on standard error; on a terminal wrapped to its width.
 pub fn note(text: impl Display) {
-    let _ = writeln!(io::stderr().lock(), "{}", fitted(&shown(text), error_width()));
+    to_stderr(&fitted(&shown(text), error_width()), Level::INFO);
+}
+
+/// Prints lines on standard error, in the journal with their priority.
+fn to_stderr(text: &str, level: Level) {
+    let _ = writeln!(io::stderr().lock(), "{}", with_priority(text, level, is_behind_stderr()));
 }
 
 /// Wraps the lines that are longer than a terminal is wide, at spaces: further lines begin below the text that follows
@@ -127,9 +134,14 @@ fn begin_of_text(line: &str, most: usize) -> usize {
     places.filter(is_begin).last().unwrap_or(0)
 }
 
-/// Prints a text that is safe already, such as a drawn error with colours, on standard error.
+/// Prints a text that is safe already on standard error.
 pub fn note_drawn(text: impl Display) {
-    let _ = writeln!(io::stderr().lock(), "{text}");
+    to_stderr(&text.to_string(), Level::INFO);
+}
+
+/// Prints an error that is safe already, also one drawn with colours, on standard error.
+pub fn error_drawn(text: impl Display) {
+    to_stderr(&text.to_string(), Level::ERROR);
 }
 
 /// Prints a question on standard error; the answer is entered behind it.

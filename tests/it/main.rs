@@ -21,6 +21,7 @@ mod experiments;
 mod golden_plans;
 mod independent;
 mod independent_fit;
+mod journal;
 mod left;
 mod morning;
 mod mistakes;

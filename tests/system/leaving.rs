@@ -25,7 +25,12 @@ pub struct Desk {
 
 impl Desk {
     pub async fn new(name: &str) -> Self {
-        let turn = turn(COMPUTES).await;
+        Self::with_share(name, COMPUTES).await
+    }
+
+    /// As [`Self::new`], with another share of the machine.
+    pub async fn with_share(name: &str, share: u32) -> Self {
+        let turn = turn(share).await;
         let folder = std::env::temp_dir().join(format!("palpate-{name}-{}", std::process::id()));
         std::fs::create_dir_all(&folder).unwrap();
         std::fs::write(folder.join("e.toml"), ONE_TIP).unwrap();
@@ -37,6 +42,11 @@ impl Desk {
 
     fn data(&self) -> PathBuf {
         self.folder.join("data")
+    }
+
+    /// Writes a file into its folder.
+    pub fn write(&self, name: &str, text: &str) {
+        std::fs::write(self.folder.join(name), text).unwrap();
     }
 
     /// A program in its folder, with its data.
@@ -71,7 +81,7 @@ impl Desk {
     }
 
     /// Id of the service's process; none if it has ended.
-    fn service(&self) -> Option<i64> {
+    pub fn service(&self) -> Option<i64> {
         let text = std::fs::read_to_string(self.data().join("server.json")).ok()?;
         serde_json::from_str::<Value>(&text).unwrap()["process"].as_i64()
     }

@@ -1,4 +1,5 @@
-//! Ctrl-C at a terminal: it asks, and each answer does what it states; a second one aborts.
+//! Ctrl-C at a terminal, at `run` and at `train`: it asks, and each answer does what it states; a second one aborts the
+//! run, or stops the training.
 //! Uses: the program, at a pseudo-terminal of `script` (util-linux). Never: a signal that is not of its keys.
 
 use std::io::{Read, Write};
@@ -9,12 +10,19 @@ use std::time::Instant;
 use parking_lot::Mutex;
 use serde_json::json;
 
-use crate::bench::{LIMIT, Process, left_out};
+use crate::bench::{LIMIT, Process, WHOLE, left_out};
 use crate::leaving::{Desk, POLL, until};
 
 const CTRL_C: &str = "\u{3}";
-/// The last line of each question.
+/// The last line of each question on a run.
 const QUESTION: &str = "Ctrl-C again raises the tips now and aborts";
+/// The last line of the question on a training.
+const QUESTION_ON_TRAINING: &str = "Ctrl-C again stops";
+
+/// A net as small as it can be, which learns until it is stopped, from simulations: it needs no trials.
+const ENDLESS: &str = "name = 'endless'\nrows = 640\n[training]\nseed = 1\nepochs = 1000000\n\
+    batch = 64\n[training.net]\nkind = 'point-net'\nhidden = 1\nwidth = 64\n\
+    [training.noise]\nwhite_v = 1.2e-3\n";
 
 /// A terminal at which a command runs.
 struct Terminal {
@@ -47,14 +55,15 @@ impl Terminal {
         Self { process, keys, shown, passed: 0 }
     }
 
-    /// Waits for something that is printed after what was waited for before.
-    fn until(&mut self, what: &str, is_shown: impl Fn(&str) -> bool) {
+    /// Waits for something that is printed after what was waited for before; all that was printed since.
+    fn until(&mut self, what: &str, is_shown: impl Fn(&str) -> bool) -> String {
         let start = Instant::now();
         loop {
             let shown = self.shown.lock().clone();
-            if is_shown(&shown[self.passed..]) {
+            let since = &shown[self.passed..];
+            if is_shown(since) {
                 self.passed = shown.len();
-                return;
+                return since.to_owned();
             }
             assert!(start.elapsed() < LIMIT, "{what} is not shown: {shown}");
             std::thread::sleep(POLL);
@@ -70,12 +79,24 @@ impl Terminal {
         self.keys.flush().unwrap();
     }
 
+    /// Presses Ctrl-C, and waits for the last line of its question.
+    fn ask(&mut self, last_line: &str) {
+        self.press(CTRL_C);
+        self.until_words(last_line);
+    }
+
     /// Presses Ctrl-C once the run has a trial, and waits for the question.
     fn interrupt(&mut self) {
         let has_trial = |shown: &str| (1..66).any(|n| shown.contains(&format!(" {n}/66")));
         self.until("a trial", has_trial);
-        self.press(CTRL_C);
-        self.until_words(QUESTION);
+        self.ask(QUESTION);
+    }
+
+    /// Waits until the bar of a training has shown this number of different epochs; the first and the last of them.
+    fn until_epochs(&mut self, count: usize) -> [u64; 2] {
+        let shown = self.until("an epoch", |shown| epochs(shown).len() >= count);
+        let seen = epochs(&shown);
+        [seen[0], seen[seen.len() - 1]]
     }
 
     /// Waits for the end of the command; its exit code.
@@ -91,10 +112,27 @@ impl Terminal {
     }
 }
 
+/// The different epochs that the bar of a training has shown, each of them followed by a comma and the loss.
+fn epochs(shown: &str) -> Vec<u64> {
+    let after = shown.split(", epoch ").skip(1);
+    let mut seen: Vec<u64> =
+        after.filter_map(|rest| rest.split_once(',')?.0.parse().ok()).collect();
+    seen.dedup();
+    seen
+}
+
+/// Whether there is a program that makes terminals; without it a test is left out.
+fn has_terminals() -> bool {
+    let is_there = Command::new("script").arg("--version").output().is_ok();
+    if !is_there {
+        left_out::<()>("no script (util-linux)");
+    }
+    is_there
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn ctrl_c_at_a_terminal_asks_and_each_answer_does_what_it_states() {
-    if Command::new("script").arg("--version").output().is_err() {
-        left_out::<()>("no script (util-linux)");
+    if !has_terminals() {
         return;
     }
     let desk = Desk::new("terminal").await;
@@ -131,4 +169,61 @@ async fn ctrl_c_at_a_terminal_asks_and_each_answer_does_what_it_states() {
     resumed.until_words("aborting: raising the tips now");
     assert_eq!(resumed.code(), Some(1));
     assert_eq!(row()["exit_status"], "abort");
+}
+
+/// It has the whole machine: the trainer computes on all cores.
+#[tokio::test(flavor = "multi_thread")]
+async fn ctrl_c_at_train_at_a_terminal_asks_and_each_answer_does_what_it_states() {
+    if !has_terminals() {
+        return;
+    }
+    let desk = Desk::with_share("terminal-train", WHOLE).await;
+    desk.write("endless.toml", ENDLESS);
+    let job = |named: &str| desk.palpate(&["job", "show", named]).end().0;
+
+    let mut train = Terminal::new(&desk, "train endless.toml");
+    train.until_epochs(1);
+    train.ask(QUESTION_ON_TRAINING);
+    // Another line than the answers: the question is repeated.
+    train.press("p\n");
+    train.until_words(QUESTION_ON_TRAINING);
+    train.press("c\n");
+    // The training continues, and the next Ctrl-C is a first one. Several epochs: the answer has arrived by then.
+    let [_, learned] = train.until_epochs(4);
+    train.ask(QUESTION_ON_TRAINING);
+    train.press("s\n");
+    train.until("the stop", |shown| {
+        shown.contains("stopping at a checkpoint, from which the same command resumes")
+            && shown.contains("it was stopped; the same command resumes it from its checkpoint")
+    });
+    assert_eq!(train.code(), Some(1));
+    assert_eq!(desk.service(), None, "its service ends with it");
+    assert_eq!(job("last")["state"], "stopped");
+
+    // The same command resumes, and leaves the training to the service that it started.
+    let mut train = Terminal::new(&desk, "train endless.toml");
+    let [resumed, learned_since] = train.until_epochs(1);
+    assert!(resumed >= learned, "epoch {resumed} after epoch {learned}");
+    train.ask(QUESTION_ON_TRAINING);
+    train.press("d\n");
+    train.until_words("continues without this terminal");
+    assert_eq!(train.code(), Some(0));
+    assert!(desk.service().is_some(), "a detached service stays");
+    until("an epoch without a terminal", || {
+        let job = job("last");
+        assert_eq!(job["state"], "running", "{job:#}");
+        job["progress"]["epoch"].as_u64() > Some(learned_since + 1)
+    });
+
+    // Another one waits for it. A second Ctrl-C stops without an answer.
+    let mut waiting = Terminal::new(&desk, "train endless.toml");
+    waiting.until_words("waits in the queue");
+    waiting.ask(QUESTION_ON_TRAINING);
+    waiting.press(CTRL_C);
+    waiting.until_words("taking the training out of the queue; the same command requests it again");
+    assert_eq!(waiting.code(), Some(1));
+    assert_eq!([job("2")["state"].clone(), job("3")["state"].clone()], ["running", "stopped"]);
+    let (stopped, code) = desk.palpate(&["job", "stop", "2"]).end();
+    assert_eq!(code, 0, "{stopped:#}");
+    until("the end of the training", || job("2")["state"] == "stopped");
 }
