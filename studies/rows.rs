@@ -190,7 +190,8 @@ mod tests {
         let mut report = report(&[], None);
         report.contacts = Some(Scores::of(&touches, &Distances::PAPER, 1));
         let rows = score_rows("exact", &report);
-        let trials: Vec<[&str; 2]> = rows.iter().map(|row| [&*row[0], &*row[1]]).collect();
+        let trials: Vec<[&str; 2]> =
+            rows.iter().map(|row| [row[0].as_str(), row[1].as_str()]).collect();
         let expected = [
             ["exact", "4"],
             ["  of 2", "4"],

@@ -367,7 +367,7 @@ mod tests {
         let all = parsed("[\"one\", \"2\"]", by_run);
         let each = all.each_run_left_out("d.toml").unwrap();
         let facts: Vec<(&str, &[String])> =
-            each.iter().map(|one| (&*one.name, &*one.split.test_runs)).collect();
+            each.iter().map(|one| (one.name.as_str(), one.split.test_runs.as_slice())).collect();
         assert_eq!(facts, [("without-one", &all.runs[..1]), ("without-2", &all.runs[1..])]);
         let same = |one: &Definition| one.runs == all.runs && one.split.ratio == [4, 1, 0];
         assert!(each.iter().all(same), "{each:?}");
