@@ -298,7 +298,6 @@ fn resampled<const METRICS: usize>(hands: &[Tallies<METRICS>], seed: u64) -> [Ve
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::evaluate::distances::Distances;
     use crate::store::Contact;
 
     fn contact(x_mm: f64, force_n: f64) -> Contact {

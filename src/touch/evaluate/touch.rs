@@ -58,8 +58,8 @@ pub struct Touch {
     pub contacts: u32,
     /// Number of estimated contacts.
     pub estimates: u32,
-    /// Distance between the two closest true contacts, mm; absent with fewer than two, or if the position of
-    /// one is unknown.
+    /// Distance between the two closest true contacts, mm, rounded to 0.1 mm; absent with fewer than two, or if
+    /// the position of one is unknown.
     pub spacing_mm: Option<f64>,
     /// Results that need positions; absent if the position of a contact is unknown.
     pub places: Option<Places>,
@@ -224,13 +224,15 @@ fn percent(truth: Option<f64>, estimate: Option<f64>) -> Option<f64> {
     Some(100.0 * (estimate? - truth) / truth)
 }
 
-/// The least distance between two of these positions, mm; `None` with fewer than two.
+/// The least distance between two of these positions, mm; `None` with fewer than two. Rounded to 0.1 mm: places are
+/// rounded to 0.01 mm, and distances on the lattice that are equal must not be on both sides of a limit.
 fn least_mm(places_mm: &[[f64; 2]]) -> Option<f64> {
     let from = |(at, place): (usize, &[f64; 2])| {
         let later = places_mm[at + 1..].iter();
         later.map(|other| distance_mm(*place, *other)).min_by(f64::total_cmp)
     };
-    places_mm.iter().enumerate().filter_map(from).min_by(f64::total_cmp)
+    let least_mm = places_mm.iter().enumerate().filter_map(from).min_by(f64::total_cmp);
+    least_mm.map(|mm| (10.0 * mm).round() / 10.0)
 }
 
 /// The positions of all contacts, unless one is unknown. Fails if a value is not finite.
@@ -350,6 +352,11 @@ mod tests {
         let nowhere = Contact { x_mm: None, ..truths[0] };
         assert_eq!(spacing(&[nowhere, truths[1], truths[2]], &truths), None);
         assert_eq!(spacing(&truths, &[nowhere]), Some(50.0));
+        // Four rows of the lattice apart, in each direction.
+        for [x_mm, y_mm] in [[0.0, 60.0], [51.96, 30.0], [51.97, 30.0]] {
+            let other = contact(x_mm, y_mm, 10.0, 20.0);
+            assert_eq!(spacing(&[truths[0], other], &[]), Some(60.0));
+        }
     }
 
     #[test]

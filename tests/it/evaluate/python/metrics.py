@@ -148,9 +148,9 @@ def check_interval(what, ours, by_frame):
 
 
 def spacing(truths):
-    """Distance of the two closest contacts, mm; not a number with fewer than two."""
+    """Distance of the two closest contacts, to 0.1 mm; not a number with fewer than two."""
     places = np.array([(truth["x_mm"], truth["y_mm"]) for truth in truths], float)
-    return spatial.distance.pdist(places).min() if len(places) > 1 else np.nan
+    return spatial.distance.pdist(places).min().round(1) if len(places) > 1 else np.nan
 
 
 def check_scores(case):
