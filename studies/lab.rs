@@ -273,7 +273,7 @@ pub mod fake {
                 reading(count).contacts.iter().map(Contact::from).collect();
             Touch::of(&truth(count), &estimates, report.distances.ghost_mm).unwrap()
         });
-        report.contacts = Some(Scores::of(&touches, 1));
+        report.contacts = Some(Scores::of(&touches, &report.distances, 1));
         report.perfect = report.contacts.clone();
         report.map = Some("4x20".into());
         let sums = ["number_percent", "location_mm", "force_percent", "diameter_percent"];

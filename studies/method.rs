@@ -6,10 +6,10 @@ use serde_json::json;
 use crate::evaluate::request::{EvaluationReport, EvaluationRequest};
 use crate::evaluate::table::{SCORE_COLUMNS, markdown};
 use crate::lab::Lab;
-use crate::rows::{by_contacts, coverage, distances_note, perfect, read_by, reliability};
+use crate::rows::{coverage, distances_note, perfect, read_by, reliability, score_rows};
 use crate::sheet::Sheet;
 
-/// Scores a method: over all frames, by the number of contacts, and a perfect map for comparison.
+/// Scores a method: over all frames, by the number of contacts and the spacing, and a perfect map for comparison.
 ///
 /// # Errors
 /// Error of the lab if the evaluation fails.
@@ -17,7 +17,7 @@ pub async fn scores<L: Lab>(lab: &L, request: &EvaluationRequest) -> Result<Shee
     let report = lab.score(request).await?;
     let name = serde_json::to_value(request.scored).unwrap_or_default();
     let name = name.as_str().unwrap_or_default();
-    let mut rows = by_contacts(name, &report);
+    let mut rows = score_rows(name, &report);
     rows.extend(perfect(&report));
     let text = format!(
         "# {name} on {} ({}), mean [95 % interval]\n\n{}\n{}{}{}{}{}{}",

@@ -4,23 +4,33 @@
 use crate::evaluate::distances::Distances;
 use crate::evaluate::reliability::Reliability;
 use crate::evaluate::request::EvaluationReport;
-use crate::evaluate::score::Score;
+use crate::evaluate::score::{Score, Scores, SpacingScore};
 use crate::evaluate::table::{Uncertainty, markdown, score_row, share_cell};
 use crate::ids::{CalibrationId, ModelId};
 
-/// Rows of a method: over all frames, then by the number of contacts. Columns:
+/// Rows of a method: over all frames, by the number of contacts, then by the spacing. Columns:
 /// `evaluate::table::SCORE_COLUMNS`, means with 95 % intervals.
-pub fn by_contacts(name: &str, report: &EvaluationReport) -> Vec<Vec<String>> {
+pub fn score_rows(name: &str, report: &EvaluationReport) -> Vec<Vec<String>> {
     let Some(scores) = &report.contacts else { return Vec::new() };
-    let mut rows = vec![score_row(name, &scores.all, Uncertainty::Interval)];
-    for count in &scores.by_contacts {
-        rows.push(score_row(
-            &format!("  of {}", count.contacts),
-            &count.score,
-            Uncertainty::Interval,
-        ));
+    let row = |(name, score): (String, &Score)| score_row(&name, score, Uncertainty::Interval);
+    groups(name, scores).map(row).collect()
+}
+
+/// All frames, those with each number of contacts, and those in each range of the spacing: their names in tables,
+/// and their scores.
+fn groups<'a>(name: &str, scores: &'a Scores) -> impl Iterator<Item = (String, &'a Score)> {
+    let by_contacts = scores.by_contacts.iter();
+    let by_contacts = by_contacts.map(|of| (format!("  of {}", of.contacts), &of.score));
+    let by_spacing = scores.by_spacing.iter().map(|range| (spacing_words(range), &range.score));
+    [(name.to_owned(), &scores.all)].into_iter().chain(by_contacts).chain(by_spacing)
+}
+
+fn spacing_words(range: &SpacingScore) -> String {
+    match (range.from_mm, range.to_mm) {
+        (from_mm, None) => format!("  spacing from {from_mm} mm"),
+        (from_mm, Some(to_mm)) if from_mm > 0.0 => format!("  spacing {from_mm} to {to_mm} mm"),
+        (_, Some(to_mm)) => format!("  spacing under {to_mm} mm"),
     }
-    rows
 }
 
 /// The row of a perfect map under the same rule, if the report has one.
@@ -36,8 +46,8 @@ pub fn paper_cost(report: &EvaluationReport) -> Option<f64> {
     Some(report.contacts.as_ref()?.all.paper_cost(report.distances.guess_mm))
 }
 
-/// Footnote of a table of scores: the distances by which contacts were judged. Empty if the report has no scores
-/// of contacts.
+/// Footnote of a table of scores: the distances by which contacts were judged, and the meaning of a spacing. Empty if
+/// the report has no scores of contacts.
 pub fn distances_note(report: &EvaluationReport) -> String {
     if report.contacts.is_none() {
         return String::new();
@@ -45,7 +55,8 @@ pub fn distances_note(report: &EvaluationReport) -> String {
     let Distances { ghost_mm, guess_mm } = report.distances;
     format!(
         "Ghosts are estimates farther than {ghost_mm} mm from every true contact. If nets are compared, a contact of a \
-         trial without estimates counts as {guess_mm} mm off.\n\n"
+         trial without estimates counts as {guess_mm} mm off. The spacing is the distance of the two closest true \
+         contacts.\n\n"
     )
 }
 
@@ -71,14 +82,10 @@ pub fn coverage<'a>(reports: impl Iterator<Item = (&'a str, &'a EvaluationReport
     let mut rows: Vec<Vec<String>> = Vec::new();
     for (name, report) in reports {
         let Some(scores) = &report.contacts else { continue };
-        let mut row = |name: &str, score: &Score| {
-            let Some(place) = &score.place_in_95 else { return };
+        for (name, score) in groups(name, scores) {
+            let Some(place) = &score.place_in_95 else { continue };
             let shares = [&score.place_in_95, &score.force_in_95].map(share_cell);
-            rows.push([&[name.to_owned(), place.n.to_string()][..], &shares[..]].concat());
-        };
-        row(name, &scores.all);
-        for count in &scores.by_contacts {
-            row(&format!("  of {}", count.contacts), &count.score);
+            rows.push([&[name, place.n.to_string()][..], &shares[..]].concat());
         }
     }
     if rows.is_empty() {
@@ -130,7 +137,6 @@ mod tests {
 
     use super::*;
     use crate::evaluate::reliability::JudgedAnswer;
-    use crate::evaluate::score::Scores;
     use crate::evaluate::touch::Touch;
     use crate::infer::answer::FoundContact;
     use crate::store::Contact;
@@ -155,8 +161,9 @@ mod tests {
         let ghost_mm = Distances::PAPER.ghost_mm;
         let touch = |off: &f64| Touch::of_found(&[truth], &[found(off)], ghost_mm).unwrap();
         let touches: Vec<Touch> = off_mm.iter().map(touch).collect();
+        let scores = Scores::of(&touches, &Distances::PAPER, 1);
         let report = json!({ "scored": "exact", "dataset": "ds-1", "label": "virtual", "models": [],
-            "rows": off_mm.len(), "threshold_n": 5.0, "contacts": Scores::of(&touches, 1) });
+            "rows": off_mm.len(), "threshold_n": 5.0, "contacts": scores });
         serde_json::from_value(report).unwrap()
     }
 
@@ -170,6 +177,29 @@ mod tests {
         // 3 and 4 mm are within 4.9 mm, 9 mm is not.
         assert!(rows[0].contains("75 [") && rows[0].contains("100 [100, 100]"), "{table}");
         assert_eq!(coverage([("paper", &report(&[1.0], None))].into_iter()), "");
+    }
+
+    #[test]
+    fn rows_are_split_by_the_number_of_contacts_and_by_their_spacing() {
+        let at = |x_mm: f64| Contact { x_mm: Some(x_mm), y_mm: Some(100.0), ..Contact::default() };
+        let touch = |spacing_mm: f64| {
+            let truths = [at(100.0), at(100.0 + spacing_mm)];
+            Touch::of(&truths, &truths, Distances::PAPER.ghost_mm).unwrap()
+        };
+        let touches = [30.0, 59.0, 60.0, 300.0].map(touch);
+        let mut report = report(&[], None);
+        report.contacts = Some(Scores::of(&touches, &Distances::PAPER, 1));
+        let rows = score_rows("exact", &report);
+        let trials: Vec<[&str; 2]> =
+            rows.iter().map(|row| [row[0].as_str(), row[1].as_str()]).collect();
+        let expected = [
+            ["exact", "4"],
+            ["  of 2", "4"],
+            ["  spacing under 60 mm", "2"],
+            ["  spacing 60 to 120 mm", "1"],
+            ["  spacing from 120 mm", "1"],
+        ];
+        assert_eq!(trials, expected);
     }
 
     #[test]

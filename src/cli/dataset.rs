@@ -1,5 +1,6 @@
 //! `palpate dataset`: lists, shows, makes and exports datasets.
-//! Uses: `client`, `import`, `federate`, `making`. Never: rows in this process (the service reads and writes them).
+//! Uses: `client`, `import`, `federate`, `making`, `dataset::definition`. Never: rows in this process (the service reads
+//! and writes them).
 
 use std::path::PathBuf;
 
@@ -21,7 +22,9 @@ use super::table::{Table, count_or_dash, or_dash};
 use super::times::local;
 use super::view::rows;
 use super::{At, embed};
+use crate::dataset::definition::Definition;
 use crate::file_kind::FileKind;
+use crate::syntax::parse_toml;
 
 /// Options of `dataset`.
 #[derive(Debug, Args)]
@@ -94,6 +97,11 @@ struct MakeArgs {
     /// existing dataset, or `run-N`.
     #[arg(value_name = "DATASET.toml|NAME")]
     what: PathBuf,
+    /// Make a dataset NAME-RUN for each entry of `runs` in the file, with it as the test part.
+    ///
+    /// Leave-one-batch-out: the file has `by = "run"` in its section `[split]`, and no `test_runs`.
+    #[arg(long)]
+    each_run: bool,
     #[command(flatten)]
     at: At,
 }
@@ -216,14 +224,16 @@ async fn card(client: &Client, args: &CardArgs) -> CliResult<()> {
 }
 
 async fn make(client: &Client, args: &MakeArgs) -> CliResult<()> {
+    if args.each_run {
+        return make_each(client, args).await;
+    }
     let what = args.what.display().to_string();
     let is_file = args.what.extension().is_some() || args.what.is_file();
     let body = match is_file {
         true => json!({ "toml": read_as(FileKind::Dataset, &args.what)?, "file": what }),
         false => json!({ "name": what }),
     };
-    let patient = client.patient(DATASET_WAIT).quiet();
-    let made: Value = making::dataset(client, patient.post("/api/v1/datasets", &body)).await?;
+    let made = made(client, &body).await?;
     args.at.output().say(&made, described(&made, client.url()));
     let id = text_of(&made["id"]);
     Next::of(&args.at)
@@ -231,6 +241,32 @@ async fn make(client: &Client, args: &MakeArgs) -> CliResult<()> {
         .suggest(format_args!("palpate dataset export {id} --format csv"), "writes a file")
         .say();
     Ok(())
+}
+
+/// Makes the datasets that leave out each run of a definition in turn.
+async fn make_each(client: &Client, args: &MakeArgs) -> CliResult<()> {
+    let file = args.what.display().to_string();
+    let definition: Definition = parse_toml(&file, &read_as(FileKind::Dataset, &args.what)?)?;
+    let (mut items, mut words) = (Vec::new(), Vec::new());
+    for definition in definition.each_run_left_out(&file)? {
+        let row = made(client, &json!({ "definition": definition, "file": file })).await?;
+        words.push(described(&row, client.url()));
+        items.push(row);
+    }
+    args.at.output().say(&json!({ "items": items }), words.join("\n\n"));
+    Next::of(&args.at)
+        .suggest(
+            format_args!("palpate evaluate quantity force --dataset {}-RUN", definition.name),
+            "trains nets without the run, and scores them on it",
+        )
+        .say();
+    Ok(())
+}
+
+/// The dataset that the service has made as requested.
+async fn made(client: &Client, body: &Value) -> CliResult<Value> {
+    let patient = client.patient(DATASET_WAIT).quiet();
+    making::dataset(client, patient.post("/api/v1/datasets", body)).await
 }
 
 /// A dataset, as text.

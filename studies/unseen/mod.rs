@@ -16,7 +16,7 @@ use crate::infer::methods::Method;
 use crate::lab::{DatasetFacts, Lab, Noise, StudyError, StudyResult, Training};
 use crate::noise::LEVELS;
 use crate::rows::{
-    beats, by_contacts, coverage, distances_note, paper_cost, perfects, read_by, reliability,
+    beats, coverage, distances_note, paper_cost, perfects, read_by, reliability, score_rows,
 };
 use crate::sheet::{OutputFile, Sheet};
 
@@ -273,21 +273,21 @@ fn sheet(budget: &Budget, scores: &Scores, columns: &[Named], learned: &str) -> 
     let best_pipeline = best(pipeline);
     let mut table = Vec::new();
     if let Some((name, report)) = best_pipeline {
-        table.extend(by_contacts(&format!("real-to-sim, best: {name}"), report));
+        table.extend(score_rows(&format!("real-to-sim, best: {name}"), report));
     }
     if let Some(report) = published {
-        table.extend(by_contacts("  the same, Transfer-Net as published", report));
+        table.extend(score_rows("  the same, Transfer-Net as published", report));
     }
     if let Some((name, report)) = best(end_to_end) {
-        table.extend(by_contacts(&format!("end-to-end, best: {name}"), report));
+        table.extend(score_rows(&format!("end-to-end, best: {name}"), report));
     }
     for (name, scores) in regressions {
         let found = best(scores).into_iter();
-        table.extend(found.flat_map(|(map, s)| by_contacts(&format!("{name}, best: {map}"), s)));
+        table.extend(found.flat_map(|(map, s)| score_rows(&format!("{name}, best: {map}"), s)));
     }
     table.push(published_row("paper, best of 36 of 4 to 20 mm, 1024 epochs", &REAL_UNSEEN));
     for (name, report) in ours {
-        table.extend(by_contacts(name, report));
+        table.extend(score_rows(name, report));
     }
     let verdicts = verdicts(&groups);
     groups.push(("", ours));

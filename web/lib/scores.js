@@ -173,9 +173,17 @@ const voltageScores = ({ voltages }) =>
     ],
   }).node
 
-/** Scores of contacts by their number, and those of the perfect map below them. */
+const spacing = ({ from_mm, to_mm }) =>
+  `spacing ${to_mm == null ? `from ${from_mm}` : from_mm > 0 ? `${from_mm} to ${to_mm}` : `under ${to_mm}`}\u202fmm`
+
+/** Scores of contacts by their number and their spacing, and those of the perfect map below them. */
 function contactScores({ contacts, perfect }) {
-  const lines = (of, map) => [...of.by_contacts.map(one => ({ name: `${one.contacts}${map}`, score: one.score })), { name: `all${map}`, score: of.all }]
+  // Reports of older versions have no scores by spacing.
+  const lines = (of, map) => [
+    ...of.by_contacts.map(one => ({ name: `${one.contacts}${map}`, score: one.score })),
+    ...(of.by_spacing ?? []).map(one => ({ name: `${spacing(one)}${map}`, score: one.score })),
+    { name: `all${map}`, score: of.all },
+  ]
   return table({
     rows: [...lines(contacts, ''), ...(perfect ? lines(perfect, ', perfect map') : [])],
     columns: [

@@ -41,7 +41,7 @@ enum What {
     /// Waits until every trial has its twin. With --out it writes simulation.json, one CSV per
     /// table and one SVG per figure.
     Simulation(simulation::SimulationArgs),
-    /// Score a method on a dataset: estimated compared with true contacts, by their number.
+    /// Score a method on a dataset: estimated compared with true contacts, by their number and their spacing.
     Method {
         #[command(flatten)]
         method: MethodRequest,

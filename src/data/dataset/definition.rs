@@ -280,6 +280,33 @@ impl Definition {
         checks.done()
     }
 
+    /// Leave-one-batch-out: for each entry of `runs` a definition with it as the test part, named after this one and
+    /// the entry. `file` is the name of this definition in messages.
+    ///
+    /// # Errors
+    /// A split that is not by run or has test runs, and fewer than two runs; otherwise the invalid values of the
+    /// first definition that has some.
+    pub fn each_run_left_out(&self, file: &str) -> Result<Vec<Self>, Vec<Problem>> {
+        let mut checks = Checks::of(file);
+        let Split { by, test_runs, .. } = &self.split;
+        let shown = format!("{by:?}").to_lowercase();
+        let limit = "must be run: each run is the test part in turn";
+        checks.require(*by == SplitBy::Run, "split.by", shown, limit);
+        let limit = "must be absent: each run is the test part in turn";
+        checks.require(test_runs.is_empty(), "split.test_runs", test_runs.join(", "), limit);
+        let limit = "must name at least 2 runs: each is the test part in turn";
+        checks.require(self.runs.len() > 1, "runs", self.runs.len(), limit);
+        checks.done()?;
+        let without = |run: &String| -> Result<Self, Vec<Problem>> {
+            let name = format!("{}-{run}", self.name);
+            let split = Split { test_runs: vec![run.clone()], ..self.split.clone() };
+            let definition = Self { name, split, ..self.clone() };
+            definition.check(file)?;
+            Ok(definition)
+        };
+        self.runs.iter().map(without).collect()
+    }
+
     /// The conditions, parsed; invalid ones are skipped ([`Self::check`] reports them).
     pub fn filters(&self) -> Vec<Condition> {
         self.conditions.iter().filter_map(|text| Condition::parse(text).ok()).collect()
@@ -327,5 +354,31 @@ mod tests {
         }
         let unknown = Definition::from_toml("d.toml", "name = \"a\"\ntask = \"fly\"\n");
         assert!(unknown.unwrap_err()[0].limit.contains("r2s-transfer"));
+    }
+
+    #[test]
+    fn each_run_is_the_test_part_of_one_definition() {
+        let parsed = |runs: &str, split: &str| -> Definition {
+            let text =
+                format!("name = \"without\"\ntask = \"real\"\nruns = {runs}\n[split]\n{split}\n");
+            toml::from_str(&text).unwrap()
+        };
+        let by_run = "by = \"run\"\nratio = [4, 1, 0]";
+        let all = parsed("[\"one\", \"2\"]", by_run);
+        let each = all.each_run_left_out("d.toml").unwrap();
+        let facts: Vec<(&str, &[String])> =
+            each.iter().map(|one| (one.name.as_str(), one.split.test_runs.as_slice())).collect();
+        assert_eq!(facts, [("without-one", &all.runs[..1]), ("without-2", &all.runs[1..])]);
+        let same = |one: &Definition| one.runs == all.runs && one.split.ratio == [4, 1, 0];
+        assert!(each.iter().all(same), "{each:?}");
+        for (runs, split, key) in [
+            ("[\"one\", \"2\"]", "by = \"tag\"", "split.by"),
+            ("[\"one\", \"2\"]", "by = \"run\"\ntest_runs = [\"2\"]", "split.test_runs"),
+            ("[\"one\"]", by_run, "runs"),
+            ("[\"one\", \"Two\"]", by_run, "name"),
+        ] {
+            let problems = parsed(runs, split).each_run_left_out("d.toml").unwrap_err();
+            assert_eq!((problems.len(), problems[0].key.as_str()), (1, key));
+        }
     }
 }

@@ -6,6 +6,9 @@ use utoipa::ToSchema;
 
 use crate::dataset::force_map::SKIN_MM;
 
+/// Limits of the spacing by which scores are split, on the paper's skin, mm.
+const SPACINGS_MM: [f64; 2] = [60.0, 120.0];
+
 /// Distances by which answers on a skin are judged.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct Distances {
@@ -29,6 +32,12 @@ impl Distances {
             guess_mm: length_mm(Self::PAPER.guess_mm),
         }
     }
+
+    /// Limits of the spacing by which scores are split, mm: 60 and 120 on the paper's skin, on others in the
+    /// proportion of `ghost_mm`. Rounded to micrometres.
+    pub fn spacings_mm(&self) -> [f64; 2] {
+        SPACINGS_MM.map(|mm| (1e3 * mm * self.ghost_mm / Self::PAPER.ghost_mm).round() / 1e3)
+    }
 }
 
 /// Reports without distances were judged by those of the paper's skin, whatever their skin.
@@ -48,6 +57,8 @@ mod tests {
         assert_eq!(Distances::on_skin([560.0, 540.0]), Distances::PAPER);
         let small = Distances { ghost_mm: 7.143, guess_mm: 51.25 };
         assert_eq!(Distances::on_skin([60.0, 100.0]), small);
-        assert_eq!(Distances::on_skin([1120.0, 560.0]).ghost_mm, 80.0);
+        let large = Distances::on_skin([1120.0, 560.0]);
+        assert_eq!((large.ghost_mm, large.spacings_mm()), (80.0, [120.0, 240.0]));
+        assert_eq!(Distances::PAPER.spacings_mm(), [60.0, 120.0]);
     }
 }

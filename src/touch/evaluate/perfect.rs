@@ -110,7 +110,8 @@ mod tests {
 
     fn score(spec: &str, frames: &[Vec<Contact>], threshold_n: f64) -> Scores {
         let frames = frames.iter().map(Vec::as_slice);
-        Scores::of(&perfect(&map(spec), frames, threshold_n, GHOST_MM).unwrap(), 1)
+        let touches = perfect(&map(spec), frames, threshold_n, GHOST_MM).unwrap();
+        Scores::of(&touches, &Distances::PAPER, 1)
     }
 
     /// 600 such frames had errors of -32.8 % and 60.7 mm with the threshold of 5 N, above a third

@@ -1,5 +1,6 @@
 //! The score of many frames: means, standard deviations and 95 % intervals.
-//! PURE. Uses: `touch`, `Chance`, sim-core's quantiles. Never: a value for a metric without measurements (it is absent).
+//! PURE. Uses: `touch`, `distances`, `Chance`, sim-core's quantiles. Never: a value for a metric without measurements
+//! (it is absent).
 //!
 //! The mean of a metric is over contacts or pairs of all frames together, as the paper counts them,
 //! or over frames. Its 95 % interval is a percentile bootstrap over frames, since the contacts of a
@@ -16,6 +17,7 @@ use utoipa::ToSchema;
 
 use crate::chance::Chance;
 
+use super::distances::Distances;
 use super::touch::{Metric, Touch};
 
 /// Rounds of the bootstrap: the ends of an interval are then accurate to about 3 % of its width.
@@ -99,13 +101,29 @@ pub struct CountScore {
     pub score: Score,
 }
 
-/// A score over all frames, and by their number of contacts.
+/// The score of the frames whose spacing, the distance between the two closest true contacts, is in one range.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct SpacingScore {
+    /// Least spacing of the range, mm.
+    pub from_mm: f64,
+    /// Upper end of the range, mm; frames with this spacing are in the next one. Absent for the last range.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub to_mm: Option<f64>,
+    /// Score of these frames.
+    pub score: Score,
+}
+
+/// A score over all frames, by their number of contacts, and by their spacing.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct Scores {
     /// Over all frames.
     pub all: Score,
     /// For each number of contacts that occurs, ascending.
     pub by_contacts: Vec<CountScore>,
+    /// For each range of the spacing that occurs, ascending: frames with two true contacts or more, all at
+    /// known positions. Older reports have none.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub by_spacing: Vec<SpacingScore>,
 }
 
 impl Mean {
@@ -121,16 +139,30 @@ impl Mean {
 }
 
 impl Scores {
-    /// Computes the scores of frames; `seed` is that of the bootstrap.
-    pub fn of(touches: &[Touch], seed: u64) -> Self {
-        let all: Vec<&Touch> = touches.iter().collect();
-        let counts: BTreeSet<u32> = touches.iter().map(|touch| touch.contacts).collect();
-        let of_count = |contacts: u32| {
-            let chosen: Vec<&Touch> =
-                all.iter().copied().filter(|touch| touch.contacts == contacts).collect();
-            CountScore { contacts, score: Score::of(&chosen, seed) }
+    /// Computes the scores of frames. `distances` are those of their skin, `seed` that of the bootstrap.
+    pub fn of(touches: &[Touch], distances: &Distances, seed: u64) -> Self {
+        let score_of = |is_in: &dyn Fn(&Touch) -> bool| {
+            let chosen: Vec<&Touch> = touches.iter().filter(|touch| is_in(touch)).collect();
+            Score::of(&chosen, seed)
         };
-        Self { by_contacts: counts.into_iter().map(of_count).collect(), all: Score::of(&all, seed) }
+        let counts: BTreeSet<u32> = touches.iter().map(|touch| touch.contacts).collect();
+        let of_count = |contacts: u32| CountScore {
+            contacts,
+            score: score_of(&|touch: &Touch| touch.contacts == contacts),
+        };
+        let [close_mm, far_mm] = distances.spacings_mm();
+        let ranges = [(0.0, Some(close_mm)), (close_mm, Some(far_mm)), (far_mm, None)];
+        let of_range = |(from_mm, to_mm): (f64, Option<f64>)| {
+            let is_in = |mm: f64| mm >= from_mm && to_mm.is_none_or(|to_mm| mm < to_mm);
+            let score = score_of(&|touch: &Touch| touch.spacing_mm.is_some_and(is_in));
+            SpacingScore { from_mm, to_mm, score }
+        };
+        let by_spacing = ranges.into_iter().map(of_range);
+        Self {
+            all: score_of(&|_: &Touch| true),
+            by_contacts: counts.into_iter().map(of_count).collect(),
+            by_spacing: by_spacing.filter(|range| range.score.trials > 0).collect(),
+        }
     }
 }
 
@@ -266,7 +298,6 @@ fn resampled<const METRICS: usize>(hands: &[Tallies<METRICS>], seed: u64) -> [Ve
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::evaluate::distances::Distances;
     use crate::store::Contact;
 
     fn contact(x_mm: f64, force_n: f64) -> Contact {
@@ -276,6 +307,10 @@ mod tests {
 
     fn touch(truths: &[Contact], estimates: &[Contact]) -> Touch {
         Touch::of(truths, estimates, Distances::PAPER.ghost_mm).unwrap()
+    }
+
+    fn scores_of(touches: &[Touch], seed: u64) -> Scores {
+        Scores::of(touches, &Distances::PAPER, seed)
     }
 
     /// One contact, found 3 mm off; two, found 6 and 9 mm off and one ghost; none, and one found.
@@ -291,7 +326,7 @@ mod tests {
 
     #[test]
     fn means_are_over_pairs_and_frames_and_untouched_ones_count_where_they_can() {
-        let scores = Scores::of(&frames(), 1);
+        let scores = scores_of(&frames(), 1);
         let all = &scores.all;
         assert_eq!((all.trials, all.contacts, all.estimates), (3, 3, 5));
         let location = all.location_mm.unwrap();
@@ -315,6 +350,45 @@ mod tests {
     }
 
     #[test]
+    fn frames_with_two_contacts_or_more_are_split_by_the_distance_of_the_closest_two() {
+        let row = |places_mm: &[f64]| -> Vec<Contact> {
+            places_mm.iter().map(|x_mm| contact(*x_mm, 10.0)).collect()
+        };
+        let found = |truth: &[f64], estimate: &[f64]| touch(&row(truth), &row(estimate));
+        let nowhere = Contact { x_mm: None, ..contact(0.0, 10.0) };
+        let touches = [
+            // Taken for one contact; both found, 2 and 4 mm off.
+            found(&[100.0, 150.0], &[130.0]),
+            found(&[100.0, 159.9, 400.0], &[102.0, 163.9, 400.0]),
+            // A distance at a limit is in the range above it.
+            found(&[100.0, 160.0], &[109.0, 160.0]),
+            found(&[100.0, 220.0], &[101.0, 220.0]),
+            found(&[300.0], &[300.0]),
+            found(&[], &[300.0]),
+            touch(&[nowhere, nowhere], &[nowhere]),
+        ];
+        let scores = scores_of(&touches, 1);
+        let ends = scores.by_spacing.iter().map(|range| (range.from_mm, range.to_mm));
+        let ranges = [(0.0, Some(60.0)), (60.0, Some(120.0)), (120.0, None)];
+        assert_eq!(ends.collect::<Vec<_>>(), ranges);
+        let trials: Vec<u64> = scores.by_spacing.iter().map(|range| range.score.trials).collect();
+        assert_eq!(trials, [2, 1, 1]);
+        let close = &scores.by_spacing[0].score;
+        let location = close.location_mm.unwrap();
+        assert!((location.mean - 6.5).abs() < 1e-9 && location.n == 4, "{location:?}");
+        assert_eq!(close.number_percent.unwrap().mean, -25.0);
+        let right = close.exact_rate.unwrap();
+        assert_eq!((right.mean, right.low_95, right.high_95), (0.5, Some(0.0), Some(1.0)));
+        assert_eq!(scores.by_spacing[1].score.location_mm.unwrap().mean, 4.5);
+        // A range without frames is absent, as in reports of older versions.
+        assert_eq!(scores_of(&touches[3..], 1).by_spacing.len(), 1);
+        let mut json = serde_json::to_value(scores_of(&touches, 1)).unwrap();
+        json.as_object_mut().unwrap().remove("by_spacing").unwrap();
+        let older: Scores = serde_json::from_value(json).unwrap();
+        assert_eq!(older, Scores { by_spacing: Vec::new(), ..scores });
+    }
+
+    #[test]
     fn intervals_hold_the_mean_as_often_as_they_say_and_depend_on_the_seed_alone() {
         let mut chance = Chance::named(3, "frames");
         let mut draw = |frames: usize| -> Vec<Touch> {
@@ -323,14 +397,14 @@ mod tests {
         };
         let runs = 200;
         let held = (0..runs).filter(|seed| {
-            let mean = Scores::of(&draw(40), *seed).all.location_mm.unwrap();
+            let mean = scores_of(&draw(40), *seed).all.location_mm.unwrap();
             mean.low_95.unwrap() <= 9.99 && 9.99 <= mean.high_95.unwrap()
         });
         let held = held.count() as f64 / runs as f64;
         assert!((0.89..=0.99).contains(&held), "{held} of the intervals hold the mean");
         let frames = draw(40);
-        assert_eq!(Scores::of(&frames, 5), Scores::of(&frames, 5));
-        assert_ne!(Scores::of(&frames, 5), Scores::of(&frames, 6));
+        assert_eq!(scores_of(&frames, 5), scores_of(&frames, 5));
+        assert_ne!(scores_of(&frames, 5), scores_of(&frames, 6));
     }
 
     #[test]
@@ -340,7 +414,7 @@ mod tests {
             .map(|_| f64::from(chance.below(1000)) / 50.0)
             .map(|off| touch(&[contact(0.0, 10.0)], &[contact(off, 10.0)]))
             .collect();
-        let mean = Scores::of(&frames, 1).all.location_mm.unwrap();
+        let mean = scores_of(&frames, 1).all.location_mm.unwrap();
         let normal = 2.0 * 1.96 * mean.sd.unwrap() / (frames.len() as f64).sqrt();
         let width = mean.high_95.unwrap() - mean.low_95.unwrap();
         assert!((width / normal - 1.0).abs() < 0.12, "{width} mm against {normal}");
@@ -355,7 +429,7 @@ mod tests {
         let cost = |near: usize, off_mm: f64| {
             let found = |i: usize| if i < near { vec![contact(off_mm, 10.0)] } else { Vec::new() };
             let frames: Vec<Touch> = (0..100).map(|i| touch(&pressed, &found(i))).collect();
-            Scores::of(&frames, 1).all.paper_cost(Distances::PAPER.guess_mm)
+            scores_of(&frames, 1).all.paper_cost(Distances::PAPER.guess_mm)
         };
         assert!(cost(100, 60.0) < cost(1, 5.0));
         assert!(cost(100, 30.0) < cost(100, 60.0));
@@ -364,7 +438,7 @@ mod tests {
 
     #[test]
     fn a_contact_without_an_estimate_costs_a_guess_on_its_skin() {
-        let missed = Scores::of(&[touch(&[contact(0.0, 10.0)], &[])], 1).all;
+        let missed = scores_of(&[touch(&[contact(0.0, 10.0)], &[])], 1).all;
         // Force and diameter, which are unknown, cost 1 each.
         for (skin_mm, location) in [([540.0, 560.0], 2.87), ([60.0, 100.0], 0.5125)] {
             let cost = missed.paper_cost(Distances::on_skin(skin_mm).guess_mm);
@@ -383,7 +457,7 @@ mod tests {
             (0..30).map(|i| touch(&row(0.0), &row(f64::from(i % 3)))).collect()
         };
         let width = |contacts| {
-            let mean = Scores::of(&frames(contacts), 1).all.location_mm.unwrap();
+            let mean = scores_of(&frames(contacts), 1).all.location_mm.unwrap();
             mean.high_95.unwrap() - mean.low_95.unwrap()
         };
         assert!((width(5) / width(1) - 1.0).abs() < 1e-9);
@@ -391,7 +465,7 @@ mod tests {
 
     #[test]
     fn an_answer_survives_json_and_leaves_out_what_is_absent() {
-        let scores = Scores::of(&frames(), 1);
+        let scores = scores_of(&frames(), 1);
         let json = serde_json::to_string(&scores).unwrap();
         assert_eq!(serde_json::from_str::<Scores>(&json).unwrap(), scores);
         assert!(!json.contains("diameter_percent"), "{json}");

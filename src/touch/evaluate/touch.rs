@@ -5,7 +5,7 @@
 use strum::VariantArray;
 
 use crate::infer::answer::FoundContact;
-use crate::infer::matching::{Match, closest_mm, matched};
+use crate::infer::matching::{Match, closest_mm, distance_mm, matched};
 use crate::store::Contact;
 
 /// Why a contact cannot be scored.
@@ -58,6 +58,9 @@ pub struct Touch {
     pub contacts: u32,
     /// Number of estimated contacts.
     pub estimates: u32,
+    /// Distance between the two closest true contacts, mm, rounded to 0.1 mm; absent with fewer than two, or if
+    /// the position of one is unknown.
+    pub spacing_mm: Option<f64>,
     /// Results that need positions; absent if the position of a contact is unknown.
     pub places: Option<Places>,
 }
@@ -150,6 +153,7 @@ impl Touch {
     ) -> Result<Self, TouchError> {
         let truth_places = places_mm(truths)?;
         let estimate_places = places_mm(estimates)?;
+        let spacing_mm = truth_places.as_deref().and_then(least_mm);
         let places = truth_places.zip(estimate_places).map(|(true_mm, estimated_mm)| {
             let pair = |found: Match| {
                 let (truth, estimate) = (&truths[found.truth], &estimates[found.estimate]);
@@ -171,7 +175,7 @@ impl Touch {
             }
         });
         let (contacts, estimates) = (truths.len() as u32, estimates.len() as u32);
-        Ok(Self { contacts, estimates, places })
+        Ok(Self { contacts, estimates, spacing_mm, places })
     }
 
     /// The frame's values of a metric: one for the frame (number, exact, ghosts), one per pair, one
@@ -218,6 +222,17 @@ impl Touch {
 fn percent(truth: Option<f64>, estimate: Option<f64>) -> Option<f64> {
     let truth = truth.filter(|truth| *truth > 0.0)?;
     Some(100.0 * (estimate? - truth) / truth)
+}
+
+/// The least distance between two of these positions, mm; `None` with fewer than two. Rounded to 0.1 mm: places are
+/// rounded to 0.01 mm, and distances on the lattice that are equal must not be on both sides of a limit.
+fn least_mm(places_mm: &[[f64; 2]]) -> Option<f64> {
+    let from = |(at, place): (usize, &[f64; 2])| {
+        let later = places_mm[at + 1..].iter();
+        later.map(|other| distance_mm(*place, *other)).min_by(f64::total_cmp)
+    };
+    let least_mm = places_mm.iter().enumerate().filter_map(from).min_by(f64::total_cmp);
+    least_mm.map(|mm| (10.0 * mm).round() / 10.0)
 }
 
 /// The positions of all contacts, unless one is unknown. Fails if a value is not finite.
@@ -322,6 +337,26 @@ mod tests {
         assert_eq!((refused.index, refused.field), (1, "force_n"));
         let endless = Contact { y_mm: Some(f64::INFINITY), ..estimate };
         assert!(touch_of(&[endless], &[]).unwrap_err().to_string().contains("y_mm is inf"));
+    }
+
+    #[test]
+    fn the_spacing_is_the_distance_of_the_two_closest_true_contacts() {
+        let truths = [0.0, 300.0, 180.0, 250.0].map(|x_mm| contact(x_mm, 0.0, 10.0, 20.0));
+        let spacing = |truths: &[Contact], estimates: &[Contact]| {
+            touch_of(truths, estimates).unwrap().spacing_mm
+        };
+        assert_eq!(spacing(&truths, &truths[..1]), Some(50.0));
+        assert_eq!(spacing(&truths[..3], &[]), Some(120.0));
+        assert_eq!(spacing(&truths[..1], &truths), None);
+        assert_eq!(spacing(&[], &truths), None);
+        let nowhere = Contact { x_mm: None, ..truths[0] };
+        assert_eq!(spacing(&[nowhere, truths[1], truths[2]], &truths), None);
+        assert_eq!(spacing(&truths, &[nowhere]), Some(50.0));
+        // Four rows of the lattice apart, in each direction.
+        for [x_mm, y_mm] in [[0.0, 60.0], [51.96, 30.0], [51.97, 30.0]] {
+            let other = contact(x_mm, y_mm, 10.0, 20.0);
+            assert_eq!(spacing(&[truths[0], other], &[]), Some(60.0));
+        }
     }
 
     #[test]

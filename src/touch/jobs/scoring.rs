@@ -286,7 +286,7 @@ impl Scoring {
         let latencies = sorted(latencies);
         report.latency_ms =
             quantile(&latencies, 0.5).zip(quantile(&latencies, 0.99)).map(Into::into);
-        report.contacts = Some(Scores::of(&touches, self.request.seed));
+        report.contacts = Some(Scores::of(&touches, &report.distances, self.request.seed));
         report.reliability = Reliability::of(&judged, self.request.seed);
         report.cells = Some(cells(&touches));
         let spec = method.map();
@@ -302,7 +302,8 @@ impl Scoring {
             LearnError::value("evaluation", "dataset", &self.dataset, &error.to_string())
         })?;
         if !perfect.is_empty() {
-            report.perfect = Some(Scores::of(&perfect, self.request.seed));
+            let scores = Scores::of(&perfect, &report.distances, self.request.seed);
+            report.perfect = Some(scores);
             report.map = Some(spec.to_string());
         }
         Ok(true)

@@ -152,6 +152,26 @@ async fn a_split_of_the_file_and_a_split_by_run_are_obeyed() {
     support::is_refused(unknown, 400, "split.test_runs = two: must be one of");
     let all = split(&lab, "all", &["two"], by("two")).await;
     support::is_refused(all, 400, "must leave at least one");
+    // Each of them in turn, by a command.
+    let batches = "name = \"without\"\ntask = \"trials\"\nruns = [\"one\", \"two\"]\nuntouched = \"keep\"\n\
+                   [split]\nby = \"run\"\nratio = [3, 1, 0]\n";
+    std::fs::write(files.join("batches.toml"), batches).unwrap();
+    let mut command = Command::new(PALPATE);
+    command.current_dir(&*files).args(["dataset", "make", "batches.toml", "--each-run", "--json"]);
+    command.args(["--url", &lab.url("")]);
+    let made = support::done(&support::finished(command).await);
+    for (at, (run, trials)) in [("one", 40), ("two", 30)].into_iter().enumerate() {
+        let made = &made["items"][at];
+        assert_eq!(made["name"], format!("without-{run}"), "{made}");
+        let found = parts(&lab, made).await;
+        let tests: Vec<&str> = found
+            .iter()
+            .filter(|(.., part)| part == "test")
+            .map(|(run, ..)| run.as_str())
+            .collect();
+        assert_eq!(tests, vec![run; trials]);
+        assert!(found.iter().any(|(.., part)| part == "train"), "{found:?}");
+    }
     // Equal tags are in the same part, rows without a tag are excluded, and tags are conditions.
     let mut tagged = "v0,v1,v2,v3,v4,v5,x_mm,y_mm,tag\n".to_owned();
     for n in 0..50 {

@@ -126,10 +126,12 @@ fn scores(chance: &mut Chance) -> Value {
             (truths, found)
         })
         .collect();
-    let ghost_mm = Distances::on_skin([540.0, 560.0]).ghost_mm;
-    let touches: Vec<Touch> =
-        frames.iter().map(|(truths, found)| Touch::of(truths, found, ghost_mm).unwrap()).collect();
-    json!({ "frames": frames, "scores": Scores::of(&touches, 11) })
+    let distances = Distances::on_skin([540.0, 560.0]);
+    let touch = |(truths, found): &(Vec<Contact>, Vec<Contact>)| {
+        Touch::of(truths, found, distances.ghost_mm).unwrap()
+    };
+    let touches: Vec<Touch> = frames.iter().map(touch).collect();
+    json!({ "frames": frames, "scores": Scores::of(&touches, &distances, 11) })
 }
 
 fn differences(chance: &mut Chance) -> Vec<Value> {

@@ -9,11 +9,12 @@ import json
 import sys
 
 import numpy as np
-from scipy import ndimage, optimize, stats
+from scipy import ndimage, optimize, spatial, stats
 from sklearn import metrics
 
 CIRCLE_MM = 32.0
 EQUAL = 1e-6
+SPACINGS_MM = 0.0, 60.0, 120.0, np.inf
 SIDE_MM, SKIN_MM = 640.0, (540.0, 560.0)
 
 
@@ -146,6 +147,12 @@ def check_interval(what, ours, by_frame):
     same(f"{what} interval", [ours["low_95"], ours["high_95"]], [low, high], 0, slack)
 
 
+def spacing(truths):
+    """Distance of the two closest contacts, to 0.1 mm; not a number with fewer than two."""
+    places = np.array([(truth["x_mm"], truth["y_mm"]) for truth in truths], float)
+    return spatial.distance.pdist(places).min().round(1) if len(places) > 1 else np.nan
+
+
 def check_scores(case):
     frames, scores = case["frames"], case["scores"]
     check_score("all", scores["all"], frames)
@@ -155,6 +162,12 @@ def check_scores(case):
         count = group["contacts"]
         chosen = [frame for frame in frames if len(frame[0]) == count]
         check_score(f"{count} contacts", group["score"], chosen)
+    ranges = list(zip(SPACINGS_MM, SPACINGS_MM[1:]))
+    ours = [(group["from_mm"], group.get("to_mm", np.inf)) for group in scores["by_spacing"]]
+    same("ranges of the spacing", ours, ranges)
+    for (low, high), group in zip(ranges, scores["by_spacing"]):
+        chosen = [frame for frame in frames if low <= spacing(frame[0]) < high]
+        check_score(f"spacing from {low} mm", group["score"], chosen)
     return f"scores of {len(frames)} frames in {len(groups)} groups"
 
 
@@ -235,6 +248,7 @@ SPOILED = [
     ("score", "scores/all/closest_mm/low_95", 0.2),
     ("score", "scores/all/force_median_percent", 1e-6),
     ("score", "scores/by_contacts/3/score/exact_rate/mean", 1e-6),
+    ("score", "scores/by_spacing/0/score/location_mm/mean", 1e-6),
     ("differences", "3/fvu", 1e-6),
     ("anovas", "0/anova/effects/5/sum_of_squares", 1e-6),
     ("anovas", "0/anova/effects/0/p", 1e-5),
