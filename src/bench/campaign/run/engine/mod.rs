@@ -255,16 +255,23 @@ impl Engine {
         }
     }
 
-    /// Begins a run, unless a person may have come to the rig since it was requested. `signs`: those at that time.
+    /// Begins a run, unless a person may have come to the rig since it was requested. `signs`: those at that time. If a
+    /// wire fails as a run begins by itself, this is a trip of that run: it keeps the rig, and may resume by itself.
     async fn start(&mut self, job: &Job, answer: Answer, signs: u64) {
         let armed = match self.control.attended_since(signs) {
             Some(why) => Err(Refusal::Busy(format!("{why}: start it again"))),
             None => self.arm(job, &answer).await,
         };
-        let go = armed.is_ok();
-        let _ = answer.send(armed);
+        let (begun, first) = match armed {
+            Err(Refusal::Fault(kind, detail)) if job.has_waited && kind.may_pass() => {
+                (self.begin_halted(job, &answer).await, Some(Halt::trip(kind, detail)))
+            }
+            armed => (armed, None),
+        };
+        let go = begun.is_ok();
+        let _ = answer.send(begun);
         if go {
-            self.run(job).await;
+            self.run(job, first).await;
         }
     }
 
