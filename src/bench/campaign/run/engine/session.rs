@@ -75,10 +75,15 @@ impl Engine {
     /// Begins a run on a rig that is not armed, since a wire failed meanwhile: its first halt is that trip.
     ///
     /// # Errors
-    /// A person has taken the operator lock meanwhile, or the client no longer waits for the answer.
+    /// A person has taken the operator lock or pressed the stop meanwhile, the computer was suspended, or the client no
+    /// longer waits for the answer.
     pub(super) async fn begin_halted(&mut self, job: &Job, answer: &Answer) -> Result<(), Refusal> {
         if let Some(awaited) = self.control.taken_lock(self.decided_at).await {
             return Err(Refusal::Busy(format!("nothing moves before {awaited}")));
+        }
+        let stopped = self.control.estop.pressed().map(|_| "the stop was pressed".to_owned());
+        if let Some(words) = stopped.or_else(|| self.notice_suspension()) {
+            return Err(Refusal::State(words));
         }
         if answer.is_closed() { Err(Refusal::Gone) } else { self.begin(job) }
     }

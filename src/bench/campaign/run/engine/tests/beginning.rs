@@ -5,8 +5,9 @@ use std::sync::atomic::Ordering;
 use std::time::Duration;
 
 use tokio::sync::oneshot;
+use tokio::time::Instant;
 
-use super::{job, latched, signs, with_handle};
+use super::{engine, job, latched, signs, suspensions, with_handle};
 use crate::campaign::bench::interlock::TripKind;
 use crate::campaign::bench::rig_state::{RigEvent, RigState};
 use crate::campaign::run::run_state::RunState;
@@ -19,6 +20,7 @@ async fn a_run_that_begins_by_itself_survives_a_wire_that_fails_for_a_moment() {
     job.has_waited = true;
     job.plan.policy.auto_resume_after_s = 0.0;
     engine.control.rig_event(RigEvent::Homed).unwrap();
+    engine.look().await;
     axes.z.replies.store(false, Ordering::SeqCst);
     let (answer, begun) = oneshot::channel();
     let mut status = handle.watch_status();
@@ -43,24 +45,49 @@ async fn a_run_that_begins_by_itself_survives_a_wire_that_fails_for_a_moment() {
 }
 
 #[tokio::test]
-async fn a_wire_that_fails_as_a_run_is_armed_begins_nothing_for_a_person_or_under_a_lock() {
-    for has_waited in [false, true] {
+async fn a_wire_that_fails_as_a_run_is_armed_begins_nothing_if_a_person_may_be_at_the_rig() {
+    // Whose start it is, who holds the rig, since when a device is silent, and who homed it.
+    for case in ["started", "locked", "silent", "homed"] {
         let (mut job, (axes, mut engine, _handle)) = (job(), with_handle());
-        job.has_waited = has_waited;
+        job.has_waited = case != "started";
         engine.control.rig_event(RigEvent::Homed).unwrap();
+        if case != "silent" {
+            engine.look().await;
+        }
         axes.z.replies.store(false, Ordering::SeqCst);
-        if has_waited {
-            axes.journal.lock(1);
+        match case {
+            "locked" => axes.journal.lock(1),
+            "homed" => engine.moved_at = Some(Instant::now()),
+            _ => {}
         }
         let (answer, begun) = oneshot::channel();
-        engine.start(&job, answer, 0).await;
+        let started = engine.start(&job, answer, 0);
+        tokio::time::timeout(Duration::from_secs(20), started).await.expect("nothing begins");
         let is_refused = match begun.await {
-            Ok(Err(Refusal::Fault(kind, _))) => !has_waited && kind == TripKind::Wire,
-            Ok(Err(Refusal::Busy(_))) => has_waited,
+            Ok(Err(Refusal::Fault(kind, _))) => case != "locked" && kind == TripKind::Wire,
+            Ok(Err(Refusal::Busy(_))) => case == "locked",
             _ => false,
         };
-        assert!(is_refused, "{has_waited}");
+        assert!(is_refused, "{case}");
         assert_eq!((engine.control.rig(), engine.control.run()), (RigState::Homed, RunState::Idle));
-        assert_eq!((latched(&engine), signs(&engine), axes.stops()), (None, 0, 0));
+        assert_eq!((latched(&engine), signs(&engine), axes.stops()), (None, 0, 0), "{case}");
+    }
+}
+
+#[tokio::test]
+async fn a_run_does_not_begin_tripped_after_a_stop_or_a_suspension_while_it_was_armed() {
+    for is_suspended in [false, true] {
+        let (job, (_axes, mut engine)) = (job(), engine());
+        let suspended_s = suspensions(&mut engine);
+        engine.control.rig_event(RigEvent::Homed).unwrap();
+        if is_suspended {
+            suspended_s.store(60, Ordering::SeqCst);
+        } else {
+            engine.control.estop.press("test");
+        }
+        let (waited_for, _caller) = oneshot::channel();
+        let begun = engine.begin_halted(&job, &waited_for).await;
+        assert!(matches!(begun, Err(Refusal::State(_))), "{begun:?}");
+        assert_eq!(engine.control.run(), RunState::Idle);
     }
 }
