@@ -283,8 +283,8 @@ impl Engine {
         }
     }
 
-    /// Whether a device that does not reply has just failed, and no homing or jog came shortly before: otherwise a person
-    /// may be at the rig.
+    /// Whether a device that does not reply has just failed, and no homing or jog came shortly before: otherwise a
+    /// person may be at the rig.
     fn has_just_failed(&self) -> bool {
         self.replied_at.is_some_and(|at| at.elapsed() <= REPLIED_WITHIN)
             && self.moved_at.is_none_or(|at| at.elapsed() > OPERATED_WITHIN)

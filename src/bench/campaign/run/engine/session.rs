@@ -194,6 +194,8 @@ impl Engine {
         }
         self.empty_skin = EmptySkin::default();
         loop {
+            // A lock that was taken as it began holds, too.
+            let decided_at = first.as_ref().map(|_| self.decided_at);
             let advanced = match first.take() {
                 Some(halt) => Err(halt),
                 None => self.advance(job, &mut pace, &mut attempts).await,
@@ -207,7 +209,7 @@ impl Engine {
                 }
                 Err(halt) => halt,
             };
-            self.halted_at = (jiff::Timestamp::now(), Instant::now());
+            self.halted_at = decided_at.unwrap_or_else(|| (jiff::Timestamp::now(), Instant::now()));
             match self.decide(job, halt, &mut attempts, &mut auto_resumes).await {
                 Next::Again => {}
                 Next::Leave => return None,
