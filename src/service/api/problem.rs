@@ -178,7 +178,7 @@ fn reason(detail: &str) -> Option<ReasonPhrase> {
 impl From<Refusal> for ApiError {
     fn from(refusal: Refusal) -> Self {
         let status = match &refusal {
-            Refusal::State(_) | Refusal::Busy(_) => StatusCode::CONFLICT,
+            Refusal::State(_) | Refusal::Busy(_) | Refusal::Fault(..) => StatusCode::CONFLICT,
             Refusal::Value(words) => {
                 return Self::problems(vec![Problem::whole("request", words.clone())]);
             }

@@ -75,7 +75,8 @@ impl Conductor {
     }
 
     /// Begins the first waiting run that is due. A run that cannot begin must be started again, unless the rig is busy or
-    /// the store fails; an event reports it. Returns when to decide again, if none began and some are early.
+    /// not ready any more, or the store fails; an event reports it. Returns when to decide again, if none began and
+    /// some are early.
     async fn begin_next(&self, now: Timestamp) -> ConductorResult<Option<Duration>> {
         let waiting = self.still_waiting().await?;
         let lock = self.inner.store.lock().await?;
@@ -89,6 +90,10 @@ impl Conductor {
                 // The rig is busy, for example with a jog or a homing.
                 Err(ConductorError::Refused(Refusal::Busy(_) | Refusal::Gone)) => {
                     return Ok(Some(BUSY_AGAIN));
+                }
+                // The rig is not ready any more, for example without wires: no fault of this run.
+                Err(ConductorError::Refused(_)) if !self.inner.campaign.status().rig.is_ready() => {
+                    return Ok(None);
                 }
                 // The store may answer again, and nothing was requested of the rig.
                 Err(ConductorError::Store(error)) if !error.is_refusal() => {
@@ -446,6 +451,26 @@ mod tests {
         assert!(is_later, "{begun:?}");
         assert!(conductor.waiting().contains(&run.uid));
         assert_eq!(conductor.why_dropped(run.uid), None);
+    }
+
+    #[tokio::test]
+    async fn a_refusal_drops_a_waiting_run_only_if_the_rig_is_still_ready() {
+        let (conductor, mut inbox, _folder) = conductor().await;
+        let run = queued(&conductor, None).await;
+        conductor.inner.store.set_waiting(run.uid).await.unwrap();
+        conductor.let_wait([run.uid]);
+        for (state, waits) in [(RigState::Disconnected, true), (RigState::Homed, false)] {
+            inbox.status.send_modify(|status| status.rig.state = state);
+            let refuses = async {
+                let is_this =
+                    |request: &Request| matches!(request, Request::Start(job) if job.has_waited);
+                let _ = asked(&mut inbox, is_this).await.send(Err(Refusal::State("no".into())));
+            };
+            let (begun, ()) = tokio::join!(conductor.begin_next(Timestamp::now()), refuses);
+            assert_eq!(begun.unwrap(), None);
+            assert_eq!(conductor.waiting().contains(&run.uid), waits, "{state:?}");
+        }
+        assert_eq!(conductor.why_dropped(run.uid).as_deref(), Some("no"));
     }
 
     #[tokio::test]

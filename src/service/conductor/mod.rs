@@ -407,7 +407,8 @@ impl Conductor {
             self.require_sound_store()?;
             // It may have been aborted while the rig was homed.
             let run = &self.unended(run).await?;
-            let job = self.prepare_stored(run).await?.job(run);
+            let mut job = self.prepare_stored(run).await?.job(run);
+            job.has_waited = self.waiting().contains(&run.uid);
             // Read before it: the campaign refuses the start after a sign or a lock that `refused` has not seen.
             let signs = self.inner.campaign.status().attended.signs;
             let decided_at = (Timestamp::now(), Instant::now());

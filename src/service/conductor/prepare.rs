@@ -150,7 +150,7 @@ impl Prepared {
         }
     }
 
-    /// The job that the campaign drives.
+    /// The job that the campaign drives, as a person starts it.
     pub fn job(self, run: &RunRow) -> Job {
         let trials = self.preflight.trials.max(1);
         Job {
@@ -158,6 +158,7 @@ impl Prepared {
             scan_id: run.scan_id,
             predicted_trial_s: self.preflight.duration_s * self.clock_rate / trials as f64,
             auto_resume: run.auto_resume,
+            has_waited: false,
             bytes_per_trial: (self.preflight.disk_bytes - self.preflight.disk_fixed_bytes) / trials,
             plan: self.plan,
         }

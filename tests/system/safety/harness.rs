@@ -146,6 +146,7 @@ impl Harness {
             plan,
             predicted_trial_s: 1.0,
             auto_resume: false,
+            has_waited: false,
             bytes_per_trial: 4000,
         };
         change(&mut job);

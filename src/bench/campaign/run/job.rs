@@ -17,6 +17,8 @@ pub struct Job {
     pub predicted_trial_s: f64,
     /// Whether the run may resume without a person after a restart or a transient fault.
     pub auto_resume: bool,
+    /// Whether the run begins by itself, after it has waited for its turn.
+    pub has_waited: bool,
     /// Disk space that one further trial needs, bytes.
     pub bytes_per_trial: u64,
 }

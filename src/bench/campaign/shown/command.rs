@@ -14,6 +14,7 @@ use tokio::time::Instant;
 use tracing::Span;
 
 use crate::campaign::bench::estop::StopSwitch;
+use crate::campaign::bench::interlock::TripKind;
 use crate::campaign::run::job::Job;
 use crate::campaign::run::run_state::RunEvent;
 use crate::campaign::shown::frames::{FrameFeed, FrameViews, frames};
@@ -188,6 +189,9 @@ pub enum Refusal {
     /// The rig moves outside a run, or a person may just have come to it; it may be possible afterwards.
     #[error("{0}")]
     Busy(String),
+    /// A device did not reply, or reported a fault, as the rig was armed; kind of the trip that it is in a run.
+    #[error("{1}")]
+    Fault(TripKind, String),
     /// A value is outside its limits.
     #[error("{0}")]
     Value(String),

@@ -25,7 +25,7 @@ use crate::schedule::plan::Kind;
 /// Why no waiting run begins after a run that was aborted while it moved.
 const ABORTED: &str = "the run before it was aborted, and a person may be at the rig";
 /// Time before a trip within which a person who requested something of the rig may be at it, wall.
-const OPERATED_WITHIN: Duration = Duration::from_secs(600);
+pub(super) const OPERATED_WITHIN: Duration = Duration::from_secs(600);
 
 impl Engine {
     /// Decides what follows a halt, once the rig is safe. Only the state that a trip leads to is noted before, in

@@ -18,6 +18,7 @@ use tokio::task::JoinSet;
 use tokio::time::Instant;
 use tracing::{Instrument, Span};
 
+use self::decide::OPERATED_WITHIN;
 use self::skin::EmptySkin;
 use crate::campaign::bench::estop::StopSwitch;
 use crate::campaign::bench::interlock::{Trip, TripKind};
@@ -69,6 +70,8 @@ const JUST_MOVED: Duration = Duration::from_secs(10);
 const NO_JOG_AFTER_ABORT: Duration = Duration::from_secs(5);
 /// Time from the decision on a homing or a jog from which on a lock is read again before it begins, wall.
 const DECIDED_WITHIN: Duration = Duration::from_secs(1);
+/// Longest time since all devices replied for which a wire that fails as a run begins counts as just failed, wall.
+const REPLIED_WITHIN: Duration = Duration::from_secs(30);
 /// Longest wait between two automatic resumes, wall.
 const LONGEST_BACKOFF: Duration = Duration::from_secs(120);
 
@@ -137,6 +140,8 @@ struct Engine {
     moved_at: Option<Instant>,
     /// When an abort of one was requested last.
     aborted_at: Option<Instant>,
+    /// When the devices were last known to reply outside a step of a run.
+    replied_at: Option<Instant>,
     /// When the driven run halted last.
     halted_at: Moment,
     /// When the newest request that may move the rig was decided.
@@ -190,6 +195,7 @@ impl Engine {
             owed: Owed::Nothing,
             owed_pause: OWED_AGAIN,
             moved_at: None,
+            replied_at: None,
             aborted_at: None,
             halted_at: now,
             decided_at: now,
@@ -255,17 +261,33 @@ impl Engine {
         }
     }
 
-    /// Begins a run, unless a person may have come to the rig since it was requested. `signs`: those at that time.
+    /// Begins a run, unless a person may have come to the rig since it was requested. `signs`: those at that time. If a
+    /// wire has just failed as a run begins by itself, this is a trip of that run: it keeps the rig, and may resume.
     async fn start(&mut self, job: &Job, answer: Answer, signs: u64) {
         let armed = match self.control.attended_since(signs) {
             Some(why) => Err(Refusal::Busy(format!("{why}: start it again"))),
             None => self.arm(job, &answer).await,
         };
-        let go = armed.is_ok();
-        let _ = answer.send(armed);
+        let (begun, first) = match armed {
+            Err(Refusal::Fault(kind, detail))
+                if job.has_waited && kind.may_pass() && self.has_just_failed() =>
+            {
+                (self.begin_halted(job, &answer).await, Some(Halt::trip(kind, detail)))
+            }
+            armed => (armed, None),
+        };
+        let go = begun.is_ok();
+        let _ = answer.send(begun);
         if go {
-            self.run(job).await;
+            self.run(job, first).await;
         }
+    }
+
+    /// Whether a device that does not reply has just failed, and no homing or jog came shortly before: otherwise a
+    /// person may be at the rig.
+    fn has_just_failed(&self) -> bool {
+        self.replied_at.is_some_and(|at| at.elapsed() <= REPLIED_WITHIN)
+            && self.moved_at.is_none_or(|at| at.elapsed() > OPERATED_WITHIN)
     }
 
     /// Executes the safe end, with or without a run. Returns true if nothing more can be done for
@@ -304,6 +326,9 @@ impl Engine {
             (false, _) if stage.pose().await.is_err() => Owed::Wires(Instant::now(), height),
             (false, _) => Owed::Person,
         };
+        if self.owed == Owed::Nothing {
+            self.replied_at = Some(Instant::now());
+        }
         end.is_safe()
     }
 
@@ -346,6 +371,10 @@ impl Engine {
             connection.show_counters(&self.control);
             if let Some(stage) = &connection.stage {
                 show::bench(&self.control, stage).await;
+                let status = self.control.inbox.status.borrow();
+                if status.rig.pose.is_some() && status.rig.live_cells.is_some() {
+                    self.replied_at = Some(Instant::now());
+                }
             }
         }
     }

@@ -69,6 +69,26 @@ impl Engine {
             stage.silent = SilentArms::default();
             self.arm_stage(job, Some(answer)).await?;
         }
+        self.begin(job)
+    }
+
+    /// Begins a run on a rig that is not armed, since a wire failed meanwhile: its first halt is that trip.
+    ///
+    /// # Errors
+    /// A person has taken the operator lock or pressed the stop meanwhile, the computer was suspended, or the client no
+    /// longer waits for the answer.
+    pub(super) async fn begin_halted(&mut self, job: &Job, answer: &Answer) -> Result<(), Refusal> {
+        if let Some(awaited) = self.control.taken_lock(self.decided_at).await {
+            return Err(Refusal::Busy(format!("nothing moves before {awaited}")));
+        }
+        let stopped = self.control.estop.pressed().map(|_| "the stop was pressed".to_owned());
+        if let Some(words) = stopped.or_else(|| self.notice_suspension()) {
+            return Err(Refusal::State(words));
+        }
+        if answer.is_closed() { Err(Refusal::Gone) } else { self.begin(job) }
+    }
+
+    fn begin(&mut self, job: &Job) -> Result<(), Refusal> {
         self.prepared_setting = None;
         self.control.show(|status| status.run = Some(show::started(job)));
         self.control.begin(job.run)
@@ -90,7 +110,10 @@ impl Engine {
         let stage = connection.stage.as_mut().ok_or_else(no_stage)?;
         if self.control.rig() == RigState::Homed {
             let timed = stage.time_polls().await;
-            timed.map_err(|halt| Refusal::State(trip_of(&halt).detail))?;
+            timed.map_err(|halt| {
+                let trip = trip_of(&halt);
+                Refusal::Fault(trip.kind, trip.detail)
+            })?;
         }
         require_speeds(stage)?;
         let (tips, slowest) = (job.plan.most_tips(), stage.bench.z.slowest());
@@ -117,8 +140,9 @@ impl Engine {
         Ok(())
     }
 
-    pub(super) async fn run(&mut self, job: &Job) {
-        let Some((status, reason)) = self.session(job).await else { return };
+    /// Drives a run that has begun to its end. `first`: its halt before it could move, if there was one.
+    pub(super) async fn run(&mut self, job: &Job, first: Option<Halt>) {
+        let Some((status, reason)) = self.session(job, first).await else { return };
         self.show_stopping();
         let stopping = self.control.inbox.status.borrow().rig.stopping;
         self.control.diary.note(Note::EndRun(job.run, status, reason.clone()));
@@ -154,7 +178,11 @@ impl Engine {
     }
 
     /// Executes a run to its end, through halts, pauses and resumes. Returns none if it stays open.
-    async fn session(&mut self, job: &Job) -> Option<(ExitStatus, String)> {
+    async fn session(
+        &mut self,
+        job: &Job,
+        mut first: Option<Halt>,
+    ) -> Option<(ExitStatus, String)> {
         let mut pace = Pace::predicted(job.predicted_trial_s / self.config.clock_rate());
         let mut attempts = Attempts::default();
         let mut auto_resumes = 0;
@@ -166,7 +194,13 @@ impl Engine {
         }
         self.empty_skin = EmptySkin::default();
         loop {
-            let halt = match self.advance(job, &mut pace, &mut attempts).await {
+            // A lock that was taken as it began holds, too.
+            let decided_at = first.as_ref().map(|_| self.decided_at);
+            let advanced = match first.take() {
+                Some(halt) => Err(halt),
+                None => self.advance(job, &mut pace, &mut attempts).await,
+            };
+            let halt = match advanced {
                 Ok(None) => continue,
                 Ok(Some(words)) => {
                     self.leave_contact(job, None, Height::Clear).await;
@@ -175,7 +209,7 @@ impl Engine {
                 }
                 Err(halt) => halt,
             };
-            self.halted_at = (jiff::Timestamp::now(), Instant::now());
+            self.halted_at = decided_at.unwrap_or_else(|| (jiff::Timestamp::now(), Instant::now()));
             match self.decide(job, halt, &mut attempts, &mut auto_resumes).await {
                 Next::Again => {}
                 Next::Leave => return None,

@@ -34,6 +34,7 @@ use crate::schedule::tests::{hex, planned};
 use crate::suspension::Suspensions;
 
 mod attended;
+mod beginning;
 mod frames;
 mod motions;
 mod owed;
@@ -77,6 +78,7 @@ pub(super) fn job() -> Job {
         plan: planned(&hex(3, "tips = [1]\nconfigurations = 2\ndepths = 2\n")),
         predicted_trial_s: 1.0,
         auto_resume: true,
+        has_waited: false,
         bytes_per_trial: 4000,
     }
 }
