@@ -13,8 +13,9 @@ everywhere. Trials are those of touch-real-random: 2 to 4 weights of 4.9, 7.4 an
 buffers of neighbouring electrodes (mV per pair, --offsets). Contacts are searched as `exact` does: evidence by
 Laplace's approximation, the same priors. The search knows the sheet, the law, the strength of each place, and the
 covariance of the noise (`all`) or its variances alone (`size`), and a model error in proportion to the signal
-(--model). --misplaced (mm) and --missized (share of the current) are errors of a model that contacts imitate, which no
-search can know: by default there are none.
+(--model). Right counts are printed for all trials, and by the distance of the two closest contacts. --misplaced (mm)
+and --missized (share of the current) are errors of a model that contacts imitate, which no search can know: by default
+there are none.
 """
 
 import argparse
@@ -29,6 +30,8 @@ SENSOR = pathlib.Path(__file__).resolve().parents[2] / "experiments" / "sensors"
 NODES, ELECTRODES = 46, 28
 FRAME_MV, FRAME_N, FIELD_MM = 2.6, 9.81, 40.0
 WEIGHTS_N, APART_MM, EDGE_MM = [4.905, 7.358, 9.81], 40, 20
+# Ends of the ranges of spacing, the distance of the two closest contacts, by which right counts are printed.
+SPACINGS_MM = [0, 60, 120, math.inf]
 # Priors of `exact` (sim-core, FitOptions).
 LN_FORCE, LN_FORCE_SD, LN_ODDS, LEAST_MM, MOST, HOPELESS = math.log(10.0), 0.8, -1.0, 20.0, 6, 16.0
 BEAM, PICKS, PICKS_APART_MM, STEPS = 2, 4, 30.0, 15
@@ -254,12 +257,13 @@ def main():
     args = parser.parse_args()
     mean_noise_mv = args.noise / math.sqrt(args.frames)
     sheet = Sheet(args.power, args.spread, np.random.default_rng(args.seed + 1))
-    print("| offsets, mV | known of them | location, mm | closest, mm | number, % | right count, % |\n|" + "---|" * 6)
+    print("| offsets, mV | known of them | location, mm | closest, mm | number, % | right count, % | under 60 mm | to 120 mm "
+          "| above |\n|" + "---|" * 9)
     for offset_mv in map(float, args.offsets.split(",")):
         for known in ["size", "all"]:
             # Separate, so that trials and noise are the same with and without errors of the model.
             random, errors = (np.random.default_rng(args.seed + more) for more in [0, 2])
-            location, closest, number, right = [], [], [], []
+            location, closest, number, right, spacing = [], [], [], [], []
             for index in range(args.trials):
                 truth = trial(sheet, 2 + index % 3, random)
                 clean, _ = sheet.frame(shifted(truth, args.misplaced, args.missized, args.power, errors))
@@ -272,7 +276,10 @@ def main():
                 closest += list(apart.min(1)) if len(found) else []
                 number.append(100 * (len(found) / len(truth) - 1))
                 right.append(100.0 * (len(found) == len(truth)))
-            means = [interval(values) for values in [location, closest, number, right]]
+                spacing.append(closest_mm(truth))
+            ranges = [[of for of, mm in zip(right, spacing) if low <= mm < high]
+                      for low, high in itertools.pairwise(SPACINGS_MM)]
+            means = [interval(values) if values else "-" for values in [location, closest, number, right, *ranges]]
             print(f"| {offset_mv} | {known} | {' | '.join(means)} |", flush=True)
 
 
