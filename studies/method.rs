@@ -6,7 +6,7 @@ use serde_json::json;
 use crate::evaluate::request::{EvaluationReport, EvaluationRequest};
 use crate::evaluate::table::{SCORE_COLUMNS, markdown};
 use crate::lab::Lab;
-use crate::rows::{coverage, distances_note, perfect, read_by, reliability, score_rows};
+use crate::rows::{coverage, perfect, read_by, reliability, score_rows, score_rows_note};
 use crate::sheet::Sheet;
 
 /// Scores a method: over all frames, by the number of contacts and the spacing, and a perfect map for comparison.
@@ -24,7 +24,7 @@ pub async fn scores<L: Lab>(lab: &L, request: &EvaluationRequest) -> Result<Shee
         request.dataset,
         report.label.as_str(),
         markdown(&SCORE_COLUMNS, &rows),
-        distances_note(&report),
+        score_rows_note(&report),
         coverage([(name, &report)].into_iter()),
         reliability([(name, &report)].into_iter()),
         latency(&report),

@@ -46,8 +46,8 @@ pub fn paper_cost(report: &EvaluationReport) -> Option<f64> {
     Some(report.contacts.as_ref()?.all.paper_cost(report.distances.guess_mm))
 }
 
-/// Footnote of a table of scores: the distances by which contacts were judged, and the meaning of a spacing. Empty if
-/// the report has no scores of contacts.
+/// Footnote of a table of scores: the distances by which contacts were judged. Empty if the report has no scores
+/// of contacts.
 pub fn distances_note(report: &EvaluationReport) -> String {
     if report.contacts.is_none() {
         return String::new();
@@ -55,9 +55,17 @@ pub fn distances_note(report: &EvaluationReport) -> String {
     let Distances { ghost_mm, guess_mm } = report.distances;
     format!(
         "Ghosts are estimates farther than {ghost_mm} mm from every true contact. If nets are compared, a contact of a \
-         trial without estimates counts as {guess_mm} mm off. The spacing is the distance of the two closest true \
-         contacts.\n\n"
+         trial without estimates counts as {guess_mm} mm off.\n\n"
     )
+}
+
+/// Footnote of a table with [`score_rows`]: as [`distances_note`], and what the spacing is if a row has one.
+pub fn score_rows_note(report: &EvaluationReport) -> String {
+    let mut note = distances_note(report);
+    if report.contacts.as_ref().is_some_and(|scores| !scores.by_spacing.is_empty()) {
+        note += "The spacing is the distance between the two closest true contacts.\n\n";
+    }
+    note
 }
 
 /// Whether a net beats a regression by the paper's rule; `None` if one of the reports has no scores.
@@ -200,6 +208,8 @@ mod tests {
             ["  spacing from 120 mm", "1"],
         ];
         assert_eq!(trials, expected);
+        assert!(score_rows_note(&report).contains("The spacing is"));
+        assert!(!distances_note(&report).contains("spacing"), "a table without these rows");
     }
 
     #[test]

@@ -92,6 +92,8 @@ pub enum RigCommand {
         to_mm: f64,
     },
     /// Read the load cells' zeros; in a manual run, the offsets of the empty skin.
+    ///
+    /// The zeros of the cells are read only while z is homed, at rest and clear of the skin.
     Tare,
     /// State the number of mounted tips, on arms 1 to n; the cells must not contradict.
     Tips {

@@ -16,7 +16,7 @@ use crate::infer::methods::Method;
 use crate::lab::{DatasetFacts, Lab, Noise, StudyError, StudyResult, Training};
 use crate::noise::LEVELS;
 use crate::rows::{
-    beats, coverage, distances_note, paper_cost, perfects, read_by, reliability, score_rows,
+    beats, coverage, paper_cost, perfects, read_by, reliability, score_rows, score_rows_note,
 };
 use crate::sheet::{OutputFile, Sheet};
 
@@ -295,7 +295,7 @@ fn sheet(budget: &Budget, scores: &Scores, columns: &[Named], learned: &str) -> 
     table.extend(perfects(all()));
     let any = all().next();
     let label = any.map_or("", |report| report.label.as_str());
-    let note = any.map_or_else(String::new, distances_note);
+    let note = any.map_or_else(String::new, score_rows_note);
     let by_best = best_pipeline
         .map_or(String::new(), |(_, report)| format!("real-to-sim, best: {}", read_by(report)));
     let text = format!(

@@ -22,7 +22,7 @@ const DEVICES_TOLD = 50
 const CHECK_MS = 120_000, RATES_MS = 2000, SURE_S = 8
 const ACTIONS = [['connect', 'Connect', 'Opens the wires and asks every device who it is.'],
   ['home', 'Home', 'Homes each axis, z first. The axes move.'],
-  ['tare', 'Tare', 'Takes the present output of the cells as zero: nothing may touch the tips.'],
+  ['tare', 'Tare', 'Takes the present output of the cells as zero: z must be homed and up, and nothing may touch the tips.'],
   ['reset', 'Reset', 'Acknowledges the trip after its cause is cleared. Nothing moves.'], ['disconnect', 'Disconnect', 'Closes the wires.']]
 
 /** Why this caller cannot do an action of the rig now, as words; '' if it can. */

@@ -111,12 +111,12 @@ impl Stage {
         let z = control.attending(self.read_ready(&[AxisName::Z])).await??[0];
         let Driven { axis, tolerance, .. } = self.driven(AxisName::Z);
         let (at, limit) = (z.position, self.clear_z_mm() + tolerance);
-        let is_sound = require_no_alarm(axis, &z)
+        let sound = require_no_alarm(axis, &z)
             .and_then(|()| require_on(axis, &z))
             .and_then(|()| self.require_within(AxisName::Z, &z, BEYOND_TRAVEL));
         let why = if !z.homed {
             "z is not homed, and its position is not known".to_owned()
-        } else if let Err(halt) = is_sound {
+        } else if let Err(halt) = sound {
             halt.as_trip().map_or_else(String::new, |trip| trip.detail.clone())
         } else if z.moving {
             format!("z still moves, at {at:.3} mm")

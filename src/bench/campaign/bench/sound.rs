@@ -15,8 +15,8 @@ const READY_WITHIN_S: f64 = 0.2;
 /// Longest time for which an axis that homes may be neither ready nor in motion, process s: longer than the pauses between
 /// the phases of a homing.
 pub(super) const HOMING_READY_WITHIN_S: f64 = 3.0;
-/// The same for z in an attempt to raise it, process s. A person must come after the last one: together they wait 9 s for
-/// a drive that switches its motor on again.
+/// The same for z in an attempt to raise it, process s. The three attempts wait 9 s for a drive that switches its motor on
+/// again; after them a person must come.
 pub(super) const RAISE_READY_WITHIN_S: f64 = 3.0;
 
 pub(super) fn require_no_alarm(axis: &dyn Axis, status: &AxisStatus) -> Result<(), Halt> {
@@ -66,7 +66,7 @@ pub(super) async fn read_ready<A: AsRef<[AxisStatus]>, F: Future<Output = Result
     }
 }
 
-/// Readings of an axis in motion, one after the other: whether it has lost its zero, and whether its motor is off.
+/// Readings of an axis that moves or homes, one after the other: whether it has lost its zero, and whether its motor is off.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct SoundWatch {
     /// Whether the last reading showed no zero.

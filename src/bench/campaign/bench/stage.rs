@@ -405,8 +405,8 @@ impl Stage {
             if estop.pressed().is_some() {
                 return Err("the emergency stop is latched".into());
             }
-            let is_on = sound.take_ready_or_moving(&self.clock, z.axis, &now, RAISE_READY_WITHIN_S);
-            let why = is_on.err().and_then(|off| off.as_trip().map(|trip| trip.detail.clone()));
+            let on = sound.take_ready_or_moving(&self.clock, z.axis, &now, RAISE_READY_WITHIN_S);
+            let why = on.err().and_then(|off| off.as_trip().map(|trip| trip.detail.clone()));
             if why.is_some() || self.clock.now() > deadline {
                 let why = why.map_or_else(String::new, |why| format!(": {why}"));
                 return Err(format!("z at {:.3} mm, to be raised to {up:.3}{why}", now.position));

@@ -71,7 +71,7 @@ pub async fn tare_untouched(
 /// of tips, as for `assume_tips`.
 ///
 /// # Errors
-/// As [`tare`]; fails as well if z is not clear, not at rest or not homed. The zeros then stay what they were.
+/// As [`tare`]; fails as well if z is not clear, not at rest or not homed. The zeros then do not change.
 pub async fn tare_on_request(
     stage: &mut Stage,
     control: &mut Control,
@@ -82,11 +82,11 @@ pub async fn tare_on_request(
     control.attending(stage.assume_tips(entered)).await??;
     let last_v = stage.tare_v;
     tare(stage, control, samples, Accept::AnyZero).await?;
-    let is_clear = stage.require_clear_to_tare(control).await;
-    if is_clear.is_err() {
+    let checked = stage.require_clear_to_tare(control).await;
+    if checked.is_err() {
         stage.tare_v = last_v;
     }
-    is_clear
+    checked
 }
 
 /// Averages `samples` fresh readings of the cells and makes them the zeros, if they are accepted.
