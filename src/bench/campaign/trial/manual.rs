@@ -11,7 +11,7 @@ use crate::campaign::run::halt::Halt;
 use crate::campaign::shown::placement::Confirmation;
 use crate::campaign::shown::status::Phase;
 use crate::campaign::trial::measure::{frame_flags, frame_quality, record};
-use crate::campaign::trial::rest::{WINDOW, Window};
+use crate::campaign::trial::rest::{WINDOW, Window, changes_within};
 use crate::clock::Clock;
 use crate::ids::{RunUid, TrialKey};
 use crate::record::{Flag, FrameQuality, PlacedContact, TrialRecord, TrialScalars};
@@ -68,7 +68,8 @@ pub async fn measure(
     let dropped = (after.missed - before.missed) + (after.garbled - before.garbled);
     let quality = FrameQuality { dropped_packets: Some(dropped as u32), ..frame_quality(&frames) };
     let mut flags = frame_flags(&frames, plan_measure);
-    if !at_rest {
+    // A hand may come back to the weights while they are measured.
+    if !at_rest || changes_within(&frames) {
         flags.push(Flag::Unsettled);
     }
     if confirmation.is_doubted() {

@@ -52,6 +52,15 @@ impl Window {
     }
 }
 
+/// Whether the signal changes from the first frames of a measurement to the last; with too few frames, no.
+pub fn changes_within(frames: &[Arc<Frame>]) -> bool {
+    if frames.len() < 2 * WINDOW {
+        return false;
+    }
+    let (first, last) = (&frames[..WINDOW], &frames[frames.len() - WINDOW..]);
+    !Window::of(last).rests_after(&Window::of(first))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -76,5 +85,14 @@ mod tests {
         let still = Window::of(&frames(100.0, 0.0));
         assert!(Window::of(&frames(100.0, 0.0)).rests_after(&still));
         assert!(!Window::of(&frames(104.0, 0.0)).rests_after(&still));
+    }
+
+    #[test]
+    fn a_signal_that_jumps_between_the_first_and_the_last_frames_changes() {
+        let with_last =
+            |level| [frames(100.0, 0.0), frames(100.0, 0.0), frames(level, 0.0)].concat();
+        assert!(!changes_within(&with_last(100.0)));
+        assert!(changes_within(&with_last(104.0)));
+        assert!(!changes_within(&frames(100.0, 3.0)), "too few to tell");
     }
 }

@@ -5,7 +5,7 @@
 use std::collections::VecDeque;
 use std::sync::Arc;
 
-use jiff::Timestamp;
+use jiff::{SignedDuration, Timestamp};
 
 use super::rest::Window;
 use crate::clock::Clock;
@@ -20,11 +20,17 @@ pub const WINDOW_FRAMES: usize = 30;
 /// hardly drift.
 const MEAN_WINDOWS: usize = 10;
 
+/// Longest time between two windows that follow each other, wall: in a longer one, of a pause or a stream that is opened
+/// again, weights may have been placed.
+const GAP: SignedDuration = SignedDuration::from_secs(3);
+
 /// A mean of [`WINDOW_FRAMES`] frames, and the wall time of the last one.
 #[derive(Debug, Clone)]
 pub struct Seen {
     /// Mean of the frames, V.
     pub window: Window,
+    /// Wall time at which they were requested.
+    pub from: Timestamp,
     /// Wall time of the last frame.
     pub at: Timestamp,
 }
@@ -35,8 +41,13 @@ impl Seen {
     /// # Errors
     /// `RigError` if they do not arrive.
     pub async fn next(skin: &Arc<dyn SkinReader>, clock: &Clock) -> Result<Self, RigError> {
+        let from = clock.timestamp();
         let frames = skin.take(clock.now(), WINDOW_FRAMES).await?;
-        Ok(Self { window: Window::of(&frames), at: clock.timestamp() })
+        Ok(Self { window: Window::of(&frames), from, at: clock.timestamp() })
+    }
+
+    fn rests_after(&self, earlier: &Self) -> bool {
+        self.window.rests_after(&earlier.window)
     }
 }
 
@@ -61,7 +72,7 @@ pub struct UntouchedSkin {
     is_reported: bool,
     was_touched: bool,
     /// The window before, touched or not; none just after a placement.
-    before: Option<Window>,
+    before: Option<Seen>,
     /// An untouched window whose end may hold the beginning of a touch.
     pending: Option<Seen>,
 }
@@ -69,7 +80,7 @@ pub struct UntouchedSkin {
 impl UntouchedSkin {
     /// Begins with a window in which, a person states, nothing touches the skin.
     pub fn tared(last: Seen) -> Self {
-        let before = Some(last.window.clone());
+        let before = Some(last.clone());
         let recent_v = VecDeque::from([last.window.mean_v.clone()]);
         Self { last, recent_v, is_reported: true, was_touched: false, before, pending: None }
     }
@@ -77,9 +88,11 @@ impl UntouchedSkin {
     /// Adds the next window. Returns what to store: the first untouched window after a touch, and the mean of the
     /// newest ones when the next touch begins.
     pub fn push(&mut self, seen: Seen) -> Option<UntouchedMean> {
-        let rests = self.before.as_ref().is_some_and(|before| seen.window.rests_after(before));
-        let is_untouched = rests && seen.window.rests_after(&self.last.window);
-        self.before = Some(seen.window.clone());
+        let follows =
+            |before: &Seen| before.at.duration_until(seen.from) <= GAP && seen.rests_after(before);
+        let is_untouched =
+            self.before.as_ref().is_some_and(follows) && seen.rests_after(&self.last);
+        self.before = Some(seen.clone());
         if !is_untouched {
             return self.touched();
         }
@@ -134,7 +147,8 @@ mod tests {
                 stand_in::frame(0, counts)
             })
             .collect();
-        Seen { window: Window::of(&frames), at: Timestamp::from_second(at_s).unwrap() }
+        let [from, at] = [at_s - 1, at_s].map(|s| Timestamp::from_second(s).unwrap());
+        Seen { window: Window::of(&frames), from, at }
     }
 
     #[test]
@@ -165,12 +179,12 @@ mod tests {
         assert!((1..3).all(|at_s| skin.push(seen(0.0, at_s)).is_none()));
         assert!(skin.placed().is_some());
         // The weights are lifted within the first frames of a window: its mean is within the noise of the zero.
-        let lifted = seen(1.0, 20);
-        assert!(lifted.window.rests_after(&seen(0.0, 2).window));
-        let stored = [lifted, seen(0.0, 21), seen(0.0, 22)].map(|seen| skin.push(seen));
+        let lifted = seen(1.0, 3);
+        assert!(lifted.rests_after(&seen(0.0, 2)));
+        let stored = [lifted, seen(0.0, 4), seen(0.0, 5)].map(|seen| skin.push(seen));
         assert_eq!(
             stored.map(|found| found.map(|found| found.at.as_second())),
-            [None, None, Some(21)]
+            [None, None, Some(4)]
         );
     }
 
@@ -193,6 +207,16 @@ mod tests {
         assert!((many.mean_v[0] - half_v).abs() < 1e-9, "{} for {half_v} V", many.mean_v[0]);
         let first = (21..30).find_map(|at_s| skin.push(seen(0.0, at_s))).unwrap();
         assert_eq!(first.frames, WINDOW_FRAMES);
+    }
+
+    #[test]
+    fn a_window_after_a_gap_is_no_zero_and_windows_before_it_are_in_no_mean_after_it() {
+        let mut skin = UntouchedSkin::tared(seen(0.0, 0));
+        assert!((1..4).all(|at_s| skin.push(seen(0.0, at_s)).is_none()));
+        // The stream was open again after a minute; the window of 60 s may hold the end of a placement.
+        let stored = [60, 61, 62].map(|at_s| skin.push(seen(0.0, at_s)));
+        let stored = stored.map(|found| found.map(|found| (found.at.as_second(), found.frames)));
+        assert_eq!(stored, [Some((2, 3 * WINDOW_FRAMES)), None, Some((61, WINDOW_FRAMES))]);
     }
 
     #[test]
