@@ -147,8 +147,11 @@ impl Drive for Iai {
         vec![on(COIL_PAUSE)]
     }
 
+    /// The reset cancels the remaining travel, which would otherwise be resumed when the pause ends.
     fn release_requests(&self) -> Vec<Request> {
-        vec![on(COIL_ALARM_RESET), off(COIL_ALARM_RESET), off(COIL_PAUSE)]
+        let mut requests = self.reset_requests();
+        requests.push(off(COIL_PAUSE));
+        requests
     }
 
     /// The coil goes off first: it is still on if the end of an earlier reset was lost, and then has no edge.
@@ -186,18 +189,30 @@ mod tests {
         assert_eq!(DRIVE.acceleration(19_000.0), 9806.65);
     }
 
-    #[test]
-    fn an_alarm_reset_has_an_edge_although_the_end_of_the_last_one_was_lost() {
+    /// Number of edges of the reset coil, and whether it is on at the end, after an earlier reset whose end was lost.
+    fn resets(requests: Vec<Request>) -> (u32, bool) {
         // As the lost request has left it.
         let (mut is_on, mut edges) = (true, 0);
-        for request in Iai.reset_requests() {
+        for request in requests {
             let Request::WriteCoil { address: COIL_ALARM_RESET, on } = request else {
                 panic!("{request}");
             };
             edges += u32::from(on && !is_on);
             is_on = on;
         }
-        assert_eq!((edges, is_on), (1, false));
+        (edges, is_on)
+    }
+
+    #[test]
+    fn an_alarm_reset_has_an_edge_although_the_end_of_the_last_one_was_lost() {
+        assert_eq!(resets(Iai.reset_requests()), (1, false));
+    }
+
+    #[test]
+    fn a_release_cancels_the_travel_although_the_end_of_the_last_reset_was_lost() {
+        let mut requests = Iai.release_requests();
+        assert_eq!(requests.pop(), Some(off(COIL_PAUSE)), "only after the reset");
+        assert_eq!(resets(requests), (1, false));
     }
 
     #[test]

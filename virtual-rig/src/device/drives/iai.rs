@@ -378,6 +378,23 @@ mod tests {
     }
 
     #[test]
+    fn a_reset_that_is_still_on_cancels_the_rest_only_after_it_was_off() {
+        let mut rig = Rig::ready();
+        rig.coil(ALARM_RESET, true, 25.0);
+        rig.go(50_000, 30.0);
+        rig.coil(PAUSE, true, 31.0);
+        rig.coil(ALARM_RESET, true, 35.0);
+        rig.coil(PAUSE, false, 36.0);
+        assert_eq!(rig.drive.position(50.0), 500.0);
+        rig.go(0, 60.0);
+        rig.coil(PAUSE, true, 61.0);
+        rig.coil(ALARM_RESET, false, 62.0);
+        rig.coil(ALARM_RESET, true, 62.0);
+        rig.coil(PAUSE, false, 63.0);
+        assert!(rig.drive.position(80.0) > 100.0);
+    }
+
+    #[test]
     fn a_target_beyond_the_stroke_is_an_alarm_and_no_motion() {
         let mut rig = Rig::ready();
         rig.go(60_000, 30.0);
