@@ -172,8 +172,8 @@ impl Label {
 #[derive(EnumMessage, IntoStaticStr, VariantArray)]
 #[strum(serialize_all = "snake_case")]
 pub enum Flag {
-    /// The forces still changed when the longest settling time ended; in a manual trial the signal of the skin, then or while its
-    /// frames were taken.
+    /// The forces still changed when the longest settling time ended; in a manual trial the signal of the skin, then
+    /// or while its frames were taken.
     Unsettled,
     /// A voltage channel was saturated.
     SaturatedChannels,
