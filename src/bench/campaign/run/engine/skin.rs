@@ -28,7 +28,7 @@ pub(super) enum EmptySkin {
     /// A person states that it is empty; it must come to rest.
     Tared { answer: Answer, before: Option<Window>, windows: u32 },
     /// It came to rest: each window that differs from the last untouched one by noise alone is untouched, too.
-    Followed(UntouchedSkin),
+    Followed(Box<UntouchedSkin>),
 }
 
 /// What the next window is read from.
@@ -77,7 +77,7 @@ impl Engine {
                 if before.is_some_and(|before| seen.window.rests_after(&before)) {
                     let skin = UntouchedSkin::tared(seen);
                     self.record_untouched(&skin.mean());
-                    self.empty_skin = EmptySkin::Followed(skin);
+                    self.empty_skin = EmptySkin::Followed(Box::new(skin));
                     let _ = answer.send(Ok(()));
                 } else if windows < TARE_WINDOWS {
                     let (before, windows) = (Some(seen.window), windows + 1);
