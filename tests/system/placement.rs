@@ -96,6 +96,16 @@ async fn asked(lab: &Lab, trial: u64) -> Value {
     page
 }
 
+/// Confirms a placement that is right. In the noise of one window a weight may be felt as two; a person looks again.
+async fn confirm_right(lab: &Lab, run: &str, trial: u64) {
+    for _ in 0..2 {
+        if lab.act(run, confirm(trial)).await.0 == 202 {
+            return;
+        }
+    }
+    lab.accepts(run, confirm(trial)).await;
+}
+
 /// Places the weights of a placement; `wrong`: the first one elsewhere, far from the others.
 async fn place(lab: &Lab, page: &Value, wrong: bool) {
     let mut weights: Vec<Value> = page["contacts"]
@@ -175,7 +185,7 @@ async fn a_wrong_placement_is_refused_placed_anyway_repeated_and_the_run_resumes
     let right = |page: &Value| page["verdict"]["kind"] == "right" && page["at_rest"] == true;
     let page = lab.eventually("a right placement", "/api/v1/placement", right).await;
     assert!(page["verdict"]["matches"][0]["distance_mm"].as_f64().unwrap() < 10.0, "{page:#}");
-    lab.accepts(&run, confirm(0)).await;
+    confirm_right(&lab, &run, 0).await;
     let page = asked(&lab, 1).await;
     assert_eq!(page["last"]["trial"], 0, "{page:#}");
     assert_eq!(page["last"]["verdict"], "right", "{page:#}");
@@ -206,7 +216,7 @@ async fn a_wrong_placement_is_refused_placed_anyway_repeated_and_the_run_resumes
     let page = asked(&lab, 1).await;
     assert_eq!(lab.act(&run, repeat).await.0, 409);
     place(&lab, &page, false).await;
-    lab.accepts(&run, confirm(1)).await;
+    confirm_right(&lab, &run, 1).await;
     asked(&lab, 2).await;
     let unknown = json!({ "action": "repeat", "trial": 3, "who": WHO });
     assert_eq!(lab.act(&run, unknown).await.0, 409, "it is not stored");
@@ -214,7 +224,7 @@ async fn a_wrong_placement_is_refused_placed_anyway_repeated_and_the_run_resumes
     lab.accepts(&run, named).await;
     let page = asked(&lab, 0).await;
     place(&lab, &page, false).await;
-    lab.accepts(&run, confirm(0)).await;
+    confirm_right(&lab, &run, 0).await;
     let page = asked(&lab, 2).await;
     assert_eq!(page["repeated"], 2, "{page:#}");
     let stored = trials(&lab, &run).await;
