@@ -198,14 +198,16 @@ impl Serving {
         who: &str,
         why: Option<&str>,
     ) -> InferResult<(String, Slot)> {
-        let _one_at_a_time = self.inner.changing.lock().await;
-        let (sensor, slot, what) = if let Ok(id) = id_or_name.parse() {
+        // A name that does not exist is refused at once, also while the promotions before a restart are restored.
+        let (sensor, slot, what) = if let Ok(id) = id_or_name.parse::<CalibrationId>() {
+            self.inner.skins.stored(&id)?;
             (self.rig().to_owned(), Slot::Skin, PromotedId::Calibration(id))
         } else {
             let model = self.inner.models.load(id_or_name).await?;
             let facts = &model.manifest;
             (facts.model.sensor.clone(), model.slot(), PromotedId::Model(facts.id.clone()))
         };
+        let _one_at_a_time = self.inner.changing.lock().await;
         // It serves once the promotion is stored, not before.
         let next = self.with(&sensor, slot, Some(&what)).await?;
         let (name, what) = (slot.name(), Some(&what));
