@@ -16,6 +16,8 @@ use crate::schedule::experiment::TwinLimits;
 const WORST_PAIRS: usize = 5;
 /// Share of the window that must be filled before the fit is evaluated.
 const WINDOW_SHARE: f64 = 0.5;
+/// Share of its limit that a value must not exceed before a warning ends: a value that varies about its limit warns once.
+const END_SHARE: f64 = 0.8;
 
 /// A trial with its twin.
 #[derive(Debug, Clone)]
@@ -80,18 +82,23 @@ impl RollingFit {
             (Level::Suspend, Some(limit)) => ("the model does not fit the skin", limit),
             (Level::Warn | Level::Suspend, _) => ("the model fits the skin badly", limits.warn_fvu),
         };
-        let mut words = format!(
-            "{level}: median FVU {:.2} (limit {limit:.2}) over the last {} trials of at least {} N",
+        let median = format!(
+            "median FVU {:.2} (limit {limit:.2}) over the last {} trials of at least {} N",
             self.median_fvu, self.trials, limits.min_force_n
         );
-        if let Some(worst) = self.worst_pairs.first().filter(|_| self.pairs_over_limit > 0) {
-            let [from, to] = worst.electrodes;
-            words += &format!(
-                "; electrode pairs over {}: {}, worst {from} and {to} at {:.2}",
-                limits.pair_warn_fvu, self.pairs_over_limit, worst.fvu
-            );
+        let Some(worst) = self.worst_pairs.first().filter(|_| self.pairs_over_limit > 0) else {
+            return format!("{level}: {median}");
+        };
+        let [from, to] = worst.electrodes;
+        let pairs = format!(
+            "electrode pairs over FVU {}: {}, worst {from} and {to} at {:.2}",
+            limits.pair_warn_fvu, self.pairs_over_limit, worst.fvu
+        );
+        // What exceeds its limit is first.
+        match self.median_fvu > limit {
+            true => format!("{level}: {median}; {pairs}"),
+            false => format!("{level}: {pairs}; {median}"),
         }
-        words
     }
 }
 
@@ -130,7 +137,7 @@ impl DriftWatch {
             return None;
         }
         let fit = self.fit();
-        if fit.level == self.level {
+        if fit.level == self.level || fit.level == Level::Ok && self.is_near_limit(&fit) {
             return None;
         }
         self.level = fit.level;
@@ -139,6 +146,13 @@ impl DriftWatch {
             self.level = Level::Ok;
         }
         Some(fit)
+    }
+
+    /// Whether a value of the fit is so close to its limit that a warning continues.
+    fn is_near_limit(&self, fit: &RollingFit) -> bool {
+        let (median, pair) = (self.limits.warn_fvu, self.limits.pair_warn_fvu);
+        fit.median_fvu > END_SHARE * median
+            || fit.worst_pairs.iter().any(|worst| worst.fvu > END_SHARE * pair)
     }
 
     /// The fit over the current window.
@@ -204,7 +218,20 @@ mod tests {
         let changes: Vec<(usize, Level)> =
             levels.iter().enumerate().filter_map(|(n, level)| Some((n, (*level)?))).collect();
         // The median of ten passes a limit when more than half of them have.
-        assert_eq!(changes, [(15, Level::Warn), (24, Level::Ok)]);
+        // A warning ends below 0.8 of its limit: at 24 the median is 0.25.
+        assert_eq!(changes, [(15, Level::Warn), (25, Level::Ok)]);
+    }
+
+    #[test]
+    fn a_fit_that_varies_about_its_limit_warns_once() {
+        let mut watch = DriftWatch::new(LIMITS, 2);
+        let levels: Vec<Level> = (0..40)
+            .filter_map(|n| {
+                let fvu = if n % 20 < 10 { 0.31 } else { 0.29 };
+                watch.push(pairing(n, fvu, 0.0)).map(|fit| fit.level)
+            })
+            .collect();
+        assert_eq!(levels, [Level::Warn]);
     }
 
     #[test]
@@ -231,7 +258,8 @@ mod tests {
         assert!(fit.describe(&LIMITS).contains("worst 1 and 0"), "{}", fit.describe(&LIMITS));
         let event = fit.event(&LIMITS);
         let words = event["words"].as_str().unwrap();
-        assert!(words.starts_with("the model fits the skin badly: median FVU 0.10"), "{words}");
+        let pairs = "the model fits the skin badly: electrode pairs over FVU 1: 1, worst 1 and 0";
+        assert!(words.starts_with(pairs) && words.contains("; median FVU 0.10"), "{words}");
         assert_eq!((&event["level"], &event["warn_fvu"]), (&json!("warn"), &json!(0.3)));
     }
 }
