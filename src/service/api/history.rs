@@ -14,7 +14,7 @@ use super::problem::{ApiError, ApiResult, Params, Path};
 use super::runs::find;
 use super::spans::{StateSpan, restarts, spans};
 use crate::conductor::estimates::ESTIMATE;
-use crate::event::{Importance, importance, notable_kinds};
+use crate::event::{Importance, importance, is_placement, notable_kinds};
 use crate::ids::RunUid;
 use crate::journal::Event;
 use crate::state::StoredState;
@@ -67,8 +67,9 @@ pub struct History {
     /// Estimates of the end during the run, oldest first, at most 1000; empty for a run that an older version
     /// drove.
     pub predictions: Vec<Prediction>,
-    /// Notable events and those that matter more, oldest first: trips, suspensions, waits for a person, skips,
-    /// failed attempts, the end; at most 500, the newest ones. `states` lists the changes of state.
+    /// Notable events and those that matter more, oldest first: trips, suspensions, waits for a person (placements
+    /// of weights excepted), skips, failed attempts, the end; at most 500, the newest ones. `states` lists the
+    /// changes of state.
     pub events: Vec<NotableEvent>,
 }
 
@@ -122,7 +123,10 @@ async fn read(app: &App, run: &RunRow, bins: u32) -> StoreResult<Arc<History>> {
     let store = &app.store;
     let kinds: Vec<&str> = notable_kinds().collect();
     let mut notable = store.events_of_kinds(run.uid, &kinds, NOTABLE_MAX).await?;
-    notable.retain(|event| importance(&event.kind, &event.data) >= Importance::Notable);
+    notable.retain(|event| {
+        let is_notable = importance(&event.kind, &event.data) >= Importance::Notable;
+        is_notable && !is_placement(&event.kind, &event.data)
+    });
     let events = notable.into_iter().map(NotableEvent::from).collect();
     let Some(from) = run.started_at else {
         return Ok(Arc::new(History { events, ..History::default() }));

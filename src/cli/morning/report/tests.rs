@@ -128,6 +128,27 @@ fn trips_pauses_and_retries_have_numbers_and_times() {
 }
 
 #[test]
+fn what_happened_is_cut_with_a_command_for_the_rest_and_has_no_pause_of_each_placement() {
+    let mut facts = sound();
+    let pause = |why| StateSpan {
+        state: StoredState::Paused,
+        why: Some(why),
+        from: time(0),
+        to: Some(time(30)),
+    };
+    facts.states = vec![pause(PausedWhy::ManualTrial)];
+    let page = html::page(&facts, time(70)).unwrap();
+    assert!(page.contains("No stop, trip, pause"), "a run of manual trials pauses for each");
+    facts.states = vec![pause(PausedWhy::Operator)];
+    for _ in 0..59 {
+        facts.events.push(Told { at: time(9), kind: "trip".into(), words: "trip".into() });
+    }
+    let page = html::page(&facts, time(70)).unwrap();
+    let rest = "20 more: <code>palpate events 3 --important --limit 60</code>";
+    assert!(page.contains(rest), "{}", page.contains("more: "));
+}
+
+#[test]
 fn faulty_trials_and_outliers_of_the_fit_are_named() {
     let mut facts = sound();
     facts.trials[4].flags = vec!["unsettled".into(), "depth_missed".into()];
