@@ -21,7 +21,7 @@ use super::output::bytes;
 use super::table::{Table, count_or_dash, or_dash};
 use super::times::local;
 use super::view::rows;
-use super::{At, embed};
+use super::{At, DEFAULT_URL, embed};
 use crate::dataset::definition::Definition;
 use crate::file_kind::FileKind;
 use crate::syntax::parse_toml;
@@ -205,7 +205,7 @@ async fn show(client: &Client, args: &ShowArgs) -> CliResult<()> {
     let found: Value = client.get(&path).await?;
     let words = match args.lineage {
         true => format!("{found:#}"),
-        false => described(&found, client.url()),
+        false => described(&found, client.lasting_url()),
     };
     args.at.output().say(&found, words);
     Ok(())
@@ -234,7 +234,7 @@ async fn make(client: &Client, args: &MakeArgs) -> CliResult<()> {
         false => json!({ "name": what }),
     };
     let made = made(client, &body).await?;
-    args.at.output().say(&made, described(&made, client.url()));
+    args.at.output().say(&made, described(&made, client.lasting_url()));
     let id = text_of(&made["id"]);
     Next::of(&args.at)
         .suggest(format_args!("palpate dataset card {id}"), "its content, units and citation")
@@ -250,7 +250,7 @@ async fn make_each(client: &Client, args: &MakeArgs) -> CliResult<()> {
     let (mut items, mut words) = (Vec::new(), Vec::new());
     for definition in definition.each_run_left_out(&file)? {
         let row = made(client, &json!({ "definition": definition, "file": file })).await?;
-        words.push(described(&row, client.url()));
+        words.push(described(&row, client.lasting_url()));
         items.push(row);
     }
     args.at.output().say(&json!({ "items": items }), words.join("\n\n"));
@@ -269,8 +269,8 @@ async fn made(client: &Client, body: &Value) -> CliResult<Value> {
     making::dataset(client, patient.post("/api/v1/datasets", body)).await
 }
 
-/// A dataset, as text.
-fn described(row: &Value, url: &str) -> String {
+/// A dataset, as text. `url`: that of a service that runs after the command, if there is one.
+fn described(row: &Value, url: Option<&str>) -> String {
     let (name, id) = (text_of(&row["name"]), text_of(&row["id"]));
     let rows = count_or_dash(&row["rows"]);
     let length = bytes(row["bytes"].as_f64().unwrap_or_default());
@@ -286,5 +286,21 @@ fn described(row: &Value, url: &str) -> String {
         }
     }
     words += "\n  pandas.read_parquet(..), polars.scan_parquet(..) or DuckDB's read_parquet(..) of";
-    words + &format!("\n  {url}{}", text_of(&row["url"]))
+    let serves = if url.is_some() { "" } else { ", while `palpate serve` runs" };
+    words + &format!("\n  {}{}{serves}", url.unwrap_or(DEFAULT_URL), text_of(&row["url"]))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_address_of_a_dataset_is_that_of_a_service_which_outlives_the_command() {
+        let row = json!({ "name": "real", "id": "ds-1", "rows": 12, "bytes": 1000,
+            "url": "/api/v1/data/ds-1.parquet" });
+        let last = |url| described(&row, url).lines().last().map(str::to_owned).unwrap();
+        assert_eq!(last(Some("http://rig:8081")), "  http://rig:8081/api/v1/data/ds-1.parquet");
+        let own = "  http://127.0.0.1:8080/api/v1/data/ds-1.parquet, while `palpate serve` runs";
+        assert_eq!(last(None), own);
+    }
 }
