@@ -20,7 +20,7 @@ use crate::cli::next::Next;
 use crate::cli::output::grouped;
 use crate::cli::table::{Table, or_dash};
 use crate::cli::watch::answers::Tour;
-use crate::store::{RunRow, TrialRow};
+use crate::store::{RunKind, RunRow, TrialRow};
 
 /// Largest number of pairs whose frames are compared.
 const PAIRS_MAX: usize = 300;
@@ -72,7 +72,11 @@ impl Side {
             ("twins", grouped(self.twins.twins)),
             ("median FVU of the twins", or_dash(self.median_fvu.map(|fvu| format!("{fvu:.3}")))),
             ("seed", or_dash(run.seed)),
-            ("deadband, N", run.deadband_n.to_string()),
+            // Placed weights are contacts, whatever their force.
+            (
+                "deadband, N",
+                or_dash(Some(run.deadband_n).filter(|_| run.kind != RunKind::RealRandom)),
+            ),
             ("calibration", or_dash(run.calibration_id.as_ref().map(|id| id.as_str()))),
             ("version", run.version.clone()),
             (

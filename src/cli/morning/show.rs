@@ -6,7 +6,8 @@ use ratatui::layout::Rect;
 use serde_json::json;
 
 use super::answers::{
-    TwinsOf, duration_words, elapsed, fit_of, settings_words, state_words, stored_words, worst_fit,
+    TwinsOf, duration_words, elapsed, fit_of, settings_words, state_words, stored_words,
+    tips_words, worst_fit,
 };
 use super::chart::{forces, picture, width};
 use super::{ShowArgs, history, raw, show_trial};
@@ -130,7 +131,7 @@ fn facts(summary: &Summary, twins: TwinsOf, median_fvu: Option<f64>, night: &Nig
         line("settings", settings);
     }
     for of in night.progress.iter().flat_map(|progress| &progress.forces_by_tips) {
-        let tips = counted(of.tips.into(), "tip", "tips");
+        let tips = tips_words(run.kind, of.tips);
         let configurations = counted(of.configurations.into(), "configuration", "configurations");
         let (median_n, largest_n) = (of.median_n, of.largest_n);
         let words = format!("{tips}, largest in each of {configurations}:");

@@ -44,9 +44,14 @@ fn write(card: &mut String, row: &DatasetRow) -> std::fmt::Result {
     }
     writeln!(card, "\n## Origin\n")?;
     for run in runs() {
+        // Placed weights are contacts, whatever their force.
+        let contacts = match run["kind"] == "real-random" {
+            true => "placed contacts".to_owned(),
+            false => format!("contacts from {} N", run["deadband_n"]),
+        };
         writeln!(
             card,
-            "- run {} `{}` {} ({}), {} to {}: {} trials, contacts from {} N",
+            "- run {} `{}` {} ({}), {} to {}: {} trials, {contacts}",
             run["scan_id"],
             words(&run["uid"]),
             words(&run["experiment"]),
@@ -54,7 +59,6 @@ fn write(card: &mut String, row: &DatasetRow) -> std::fmt::Result {
             words(&run["started_at"]),
             words(&run["ended_at"]),
             run["trials"],
-            run["deadband_n"],
         )?;
     }
     for model in lineage["models"].as_array().into_iter().flatten() {

@@ -149,6 +149,17 @@ fn what_happened_is_cut_with_a_command_for_the_rest_and_has_no_pause_of_each_pla
 }
 
 #[test]
+fn a_run_of_manual_trials_has_weights_and_all_of_them_are_contacts() {
+    let page = html::page(&sound(), time(70)).unwrap();
+    assert!(page.contains("40 with 2 tips") && page.contains("Contacts below 5 N"), "a press");
+    let mut facts = sound();
+    facts.summary = summary(|s| s["run"]["kind"] = "real-random".into());
+    let page = html::page(&facts, time(70)).unwrap();
+    assert!(page.contains("40 with 2 weights") && page.contains("Each placed weight is a contact"));
+    assert!(!page.contains("Contacts below 5 N"), "placed weights are known");
+}
+
+#[test]
 fn faulty_trials_and_outliers_of_the_fit_are_named() {
     let mut facts = sound();
     facts.trials[4].flags = vec!["unsettled".into(), "depth_missed".into()];
