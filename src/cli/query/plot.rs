@@ -80,7 +80,10 @@ pub async fn plot(client: &Client, args: &PlotArgs) -> CliResult<()> {
         let title = args.title.as_ref().unwrap_or(&question.title);
         let mut heading = Heading::new(title, count, "trials", &label);
         if !args.of.is_empty() {
-            heading = heading.with_note(args.of.join(", "));
+            let run = trials.run.map(|scan_id| format!("run {scan_id}"));
+            let conditions = args.of.iter().filter(|text| text.contains('=')).cloned();
+            let of: Vec<String> = run.into_iter().chain(conditions).collect();
+            heading = heading.with_note(of.join(", "));
         }
         note(format_args!("palpate query \"{}\"", question.sql.replace('"', "\\\"")));
         (question, answer, heading)
@@ -104,7 +107,7 @@ async fn trials(client: &Client, of: &[String]) -> CliResult<Trials> {
             let condition = condition.map_err(|limit| CliError::argument("WHERE", text, limit))?;
             trials.conditions.push(condition);
         } else if trials.run.is_none() {
-            trials.run = Some(find_run(client, text).await?.uid);
+            trials.run = Some(find_run(client, text).await?.scan_id);
         } else {
             let limit = "must be a condition such as tips=4, or the only run";
             return Err(CliError::argument("RUN", text, limit));
