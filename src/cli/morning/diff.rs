@@ -152,11 +152,12 @@ fn facts<'a>(before: &'a Side, after: &'a Side) -> impl Iterator<Item = Change> 
 
 fn side_by_side(before: &Side, after: &Side) -> Table {
     let [a, b] = [before, after].map(|side| side.run().scan_id);
-    let mut table = Table::new(&format!("| run {a} | run {b} |"), "");
+    // The last column is cut at the width of a terminal.
+    let mut table = Table::new(&format!("| | run {a} | run {b}"), "");
     for change in facts(before, after) {
         let differs = if change.before == change.after { "" } else { "differs" };
         let value = |side: Option<String>| side.unwrap_or_default();
-        table.push([change.key, value(change.before), value(change.after), differs.into()]);
+        table.push([change.key, differs.into(), value(change.before), value(change.after)]);
     }
     table
 }

@@ -13,8 +13,8 @@ use super::chart::{forces, picture, width};
 use super::{ShowArgs, history, raw, show_trial};
 use crate::api::{ForcesAtDepth, RunProgress, SensorOut, Summary};
 use crate::cli::client::Client;
-use crate::cli::error::CliResult;
-use crate::cli::find::find_run;
+use crate::cli::error::{CliError, CliResult};
+use crate::cli::find::{find_run, is_run};
 use crate::cli::next::Next;
 use crate::cli::output::{counted, filled, grouped, say, say_drawn, say_json};
 use crate::cli::table::Table;
@@ -51,6 +51,11 @@ pub async fn show(client: &Client, args: &ShowArgs) -> CliResult<()> {
 }
 
 async fn run(client: &Client, args: &ShowArgs) -> CliResult<()> {
+    if !is_run(&args.what) {
+        let limit = "must be a run (number, start of the id of 4 characters or more, or `last`), or a trial, such as \
+                     t812 or 3/81/4 (run, configuration, depth index)";
+        return Err(CliError::argument("RUN|TRIAL", &args.what, limit));
+    }
     let found = find_run(client, &args.what).await?;
     let path = format!("/api/v1/runs/{}", found.uid);
     let summary: Summary = client.summary(found.uid).await?;
