@@ -171,7 +171,8 @@ async fn prune(client: &Client, args: &PruneArgs) -> CliResult<()> {
         .showing("removing datasets")
         .post("/api/v1/datasets/prune", &body)
         .await?;
-    let mut table = Table::new("dataset | name | size> | last used |", "there are no datasets");
+    let mut table =
+        Table::new("dataset | name | size> | last used | result", "there are no datasets");
     for row in rows(&pruned, "datasets") {
         let used = row["last_used_at"].as_str().and_then(|at| at.parse().ok());
         let gone = if args.dry_run { "would be removed" } else { "removed" };
@@ -185,13 +186,15 @@ async fn prune(client: &Client, args: &PruneArgs) -> CliResult<()> {
         ]);
     }
     let freed = bytes(pruned["freed_bytes"].as_f64().unwrap_or_default());
-    let freed = match args.dry_run {
-        true => format!("{freed} would be freed; without --dry-run it is removed"),
-        false => format!("{freed} freed"),
+    let is_any_gone = rows(&pruned, "datasets").iter().any(|row| row["stays"].is_null());
+    let freed = match (is_any_gone, args.dry_run) {
+        (false, _) => "no dataset is removed".to_owned(),
+        (true, true) => format!("{freed} would be freed; without --dry-run it is removed"),
+        (true, false) => format!("{freed} freed"),
     };
     args.at.output().say(&pruned, format_args!("{table}\n{freed}"));
     let next = Next::of(&args.at);
-    match args.dry_run {
+    match is_any_gone && args.dry_run {
         true => next.same_command("without --dry-run", "removes them"),
         false => next.suggest("palpate dataset list", "shows what stays"),
     }
