@@ -246,7 +246,7 @@ fn words(serves: &ServesOut) -> String {
 fn table(models: &[ModelOut]) -> Table {
     let mut table = Table::new(
         "model | name | task | label | state | last score",
-        "there are no models: palpate train RECIPE",
+        "there are no models: palpate train RECIPE (calibrations: palpate model serving)",
     );
     models.iter().for_each(|model| table.push(cells(model)));
     table

@@ -14,7 +14,7 @@ use super::plots::{self, Plot};
 use crate::cli::output::{counted, duration, grouped};
 use crate::cli::summary::table_one;
 use crate::cli::table::or_dash;
-use crate::cli::times::second;
+use crate::cli::times::{second, zoned};
 use crate::evaluate::figures::FigureResult;
 use crate::event::{Importance, shown_kind};
 use crate::state::{PausedWhy, StoredState};
@@ -108,7 +108,7 @@ fn measured(page: &mut String, facts: &Facts, now: Timestamp) -> FigureResult<()
             ),
         ),
         ("failed attempts", grouped(summary.retries)),
-        ("started", or_dash(run.started_at.map(second))),
+        ("started", or_dash(run.started_at.map(zoned))),
         ("ended", or_dash(run.ended_at.map(second))),
         ("duration", or_dash(took.map(duration_words))),
         ("wall time per trial", or_dash(mean.map(duration))),
@@ -246,7 +246,7 @@ fn sources(page: &mut String, facts: &Facts, now: Timestamp) {
         ("rig, sha256", or_dash(run.rig_sha256.as_deref().map(short))),
         ("sensor, sha256", short(&run.sensor_sha256)),
         ("calibration", or_dash(run.calibration_id.as_ref().map(|id| id.as_str()))),
-        ("report made", second(now)),
+        ("report made", zoned(now)),
     ];
     table(page, &["", ""], rows.map(|(name, value)| vec![name.into(), value]), "facts");
     let _ = writeln!(

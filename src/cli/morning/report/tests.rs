@@ -203,6 +203,7 @@ fn a_soft_tip_and_a_reference_that_changes_are_found() {
 fn the_page_is_whole_escapes_foreign_text_and_loads_nothing() {
     let page = html::page(&sound(), time(70)).unwrap();
     assert!(page.contains("night &lt;1&gt;") && !page.contains("night <1>"));
+    assert!(page.contains(" (UTC+") || page.contains(" (UTC-"), "a report leaves the machine");
     for part in ["<h2>Findings", "No findings", "Table I, scaled", "@page", "Reference press"] {
         assert!(page.contains(part), "{part}");
     }
