@@ -184,6 +184,9 @@ fn origin(labels: &Answer) -> String {
 /// The first column as places, the other columns of numbers as series.
 fn chart(question: &Question, marks: Marks, answer: &Answer) -> Result<Chart, String> {
     let (first, values) = answer.columns.split_first().ok_or("has no columns")?;
+    if answer.rows.is_empty() {
+        return Err("has no row to draw: no trial or row fits the conditions".into());
+    }
     // A row without a place is not drawn.
     let rows: Vec<_> = answer.rows.iter().filter(|row| row.contains_key(&first.name)).collect();
     let numbers: Vec<f64> = rows.iter().filter_map(|row| row.get(&first.name)?.as_f64()).collect();
@@ -241,6 +244,8 @@ mod tests {
         let one = answer(&[("label", "string")], json!([{ "label": "virtual" }]));
         let question = of_statement("SELECT", "", &one);
         assert!(chart(&question, Marks::Bars, &one).unwrap_err().contains("second column"));
+        let none = answer(&[("tips", "uint8"), ("n", "uint32")], json!([]));
+        assert!(chart(&question, Marks::Bars, &none).unwrap_err().starts_with("has no row to draw"));
         let labels = answer(
             &[("label", "string"), ("trials", "uint32")],
             json!([{ "label": "measured", "trials": 2 }, { "label": "virtual", "trials": 5 }]),
