@@ -245,7 +245,7 @@ mod tests {
         let question = of_statement("SELECT", "", &one);
         assert!(chart(&question, Marks::Bars, &one).unwrap_err().contains("second column"));
         let none = answer(&[("tips", "uint8"), ("n", "uint32")], json!([]));
-        assert!(chart(&question, Marks::Bars, &none).unwrap_err().starts_with("has no row to draw"));
+        assert!(chart(&question, Marks::Bars, &none).unwrap_err().contains("no row to draw"));
         let labels = answer(
             &[("label", "string"), ("trials", "uint32")],
             json!([{ "label": "measured", "trials": 2 }, { "label": "virtual", "trials": 5 }]),
