@@ -23,7 +23,9 @@ use crate::store::{Bins, RunRow, Store, StoreResult, StoredParts};
 /// Most bins of a history.
 const BINS_MAX: u32 = 1000;
 /// Largest number of notable events, the newest ones.
-const NOTABLE_MAX: u32 = 500;
+const NOTABLE_MAX: usize = 500;
+/// Events of notable kinds of which they are selected, the newest ones: a manual trial has two that are not notable.
+const NOTABLE_READ: u32 = 5000;
 /// Largest numbers of changes of state and of estimates, the newest ones.
 const STATES_MAX: u32 = 5000;
 const ESTIMATES_MAX: u32 = 5000;
@@ -122,11 +124,13 @@ pub async fn of_run(
 async fn read(app: &App, run: &RunRow, bins: u32) -> StoreResult<Arc<History>> {
     let store = &app.store;
     let kinds: Vec<&str> = notable_kinds().collect();
-    let mut notable = store.events_of_kinds(run.uid, &kinds, NOTABLE_MAX).await?;
+    let mut notable = store.events_of_kinds(run.uid, &kinds, NOTABLE_READ).await?;
     notable.retain(|event| {
         let is_notable = importance(&event.kind, &event.data) >= Importance::Notable;
         is_notable && !is_placement(&event.kind, &event.data)
     });
+    let over = notable.len().saturating_sub(NOTABLE_MAX);
+    notable.drain(..over);
     let events = notable.into_iter().map(NotableEvent::from).collect();
     let Some(from) = run.started_at else {
         return Ok(Arc::new(History { events, ..History::default() }));
