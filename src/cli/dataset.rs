@@ -301,7 +301,7 @@ mod tests {
     fn the_address_of_a_dataset_is_that_of_a_service_which_outlives_the_command() {
         let row = json!({ "name": "real", "id": "ds-1", "rows": 12, "bytes": 1000,
             "url": "/api/v1/data/ds-1.parquet" });
-        let last = |url| described(&row, url).lines().last().map(str::to_owned).unwrap();
+        let last = |url| described(&row, url).lines().next_back().map(str::to_owned).unwrap();
         assert_eq!(last(Some("http://rig:8081")), "  http://rig:8081/api/v1/data/ds-1.parquet");
         let own = "  http://127.0.0.1:8080/api/v1/data/ds-1.parquet, while `palpate serve` runs";
         assert_eq!(last(None), own);
