@@ -10,7 +10,7 @@ use reqwest::multipart::Part;
 use serde_json::{Value, json};
 
 use super::client::Client;
-use super::error::CliResult;
+use super::error::{CliError, CliResult};
 use super::files::{DEFAULT_SENSOR, read_input, write};
 use super::next::Next;
 use super::output::{Output, counted, say, say_json};
@@ -131,6 +131,10 @@ async fn answer(client: &Client, what: What, at: &At) -> CliResult<()> {
                 Output::Json => models.iter().for_each(say_json),
                 Output::Text => say(table(&models)),
             }
+        }
+        What::Show { model } if model.parse::<CalibrationId>().is_ok() => {
+            let limit = "is a calibration: palpate model serving shows the one that serves";
+            return Err(CliError::argument("MODEL", &model, limit));
         }
         What::Show { model } => {
             let model: ModelOut = client.get(&format!("/api/v1/models/{model}")).await?;

@@ -85,6 +85,7 @@ async fn runs_are_listed_newest_first_and_found_by_number_start_of_the_id_and_la
     refused(&url, &["show", "99"], 1, "no run 99: palpate runs lists all");
     refused(&url, &["show", "ffff"], 1, "no run ffff: palpate runs lists all");
     refused(&url, &["show", "the last"], 2, "number, start of the id");
+    refused(&url, &["model", "show", "cal-00"], 2, "MODEL = cal-00: is a calibration");
 }
 
 async fn trials_are_listed_by_the_conditions_of_the_api(lab: &Filled) {
