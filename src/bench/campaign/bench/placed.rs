@@ -21,7 +21,16 @@ impl Stage {
     /// # Errors
     /// Halts if a device does not reply.
     pub async fn pose(&self) -> Result<Pose, Halt> {
-        Ok(pose_of(&self.config, &read(&self.bench).await?))
+        self.pose_and_z().await.map(|(pose, _)| pose)
+    }
+
+    /// As [`Self::pose`], with the reading of z.
+    ///
+    /// # Errors
+    /// As `pose`.
+    pub async fn pose_and_z(&self) -> Result<(Pose, AxisStatus), Halt> {
+        let axes = read(&self.bench).await?;
+        Ok((pose_of(&self.config, &axes), axes[2]))
     }
 
     /// Checks before z presses that the other axes still are over this place: the tare took a while. `over`: z is not

@@ -139,7 +139,7 @@ impl Engine {
         // What was measured before is not what is now.
         let closed = show::closed(&self.config).rig;
         self.control.show(|status| {
-            status.rig.pose = closed.pose;
+            (status.rig.pose, status.rig.not_clear) = (closed.pose, None);
             status.rig.forces_n = closed.forces_n;
             status.rig.live_cells = closed.live_cells;
             status.rig.stream = closed.stream;
