@@ -14,8 +14,8 @@ use crate::campaign::run::control::Control;
 use crate::campaign::run::halt::Halt;
 use crate::rig::traits::AxisStatus;
 
-/// Distance that z may sink during a lateral motion, beyond its tolerance, mm: more than an encoder jitters at rest, and
-/// less than the smallest clearance of a rig file (0.5 mm).
+/// Distance that z may sink during a lateral motion and the tare after it, beyond its tolerance, mm: more than an encoder
+/// jitters at rest, and less than the smallest clearance of a rig file (0.5 mm).
 const SINKS_MM: f64 = 0.2;
 
 impl Stage {
@@ -26,6 +26,11 @@ impl Stage {
         self.require_within(AxisName::Z, &z, BEYOND_TRAVEL)?;
         require_no_alarm(self.bench.z.as_ref(), &z)?;
         Ok(z)
+    }
+
+    /// Position below which z, once it was measured clear, has sunk, machine mm.
+    pub(super) fn sunk_mm(&self) -> f64 {
+        self.clear_z_mm() + self.driven(AxisName::Z).tolerance + SINKS_MM
     }
 
     /// Checks before each start of a lateral motion or homing, and during it, that z has stayed up with its motor on (a
@@ -42,10 +47,10 @@ impl Stage {
     ) -> Result<(), Halt> {
         let Some(last) = clear_at else { return Ok(()) };
         let is_up = async {
-            let (z, clear) = (self.known_z().await?, self.clear_z_mm());
+            let z = self.known_z().await?;
             require_on(self.bench.z.as_ref(), &z)?;
-            let at = z.position;
-            if at > clear + self.driven(AxisName::Z).tolerance + SINKS_MM {
+            if z.position > self.sunk_mm() {
+                let (at, clear) = (z.position, self.clear_z_mm());
                 let detail =
                     format!("z sank to {at:.3} mm during a lateral motion, clear at {clear:.3}");
                 return Err(Halt::trip(TripKind::Position, detail));
