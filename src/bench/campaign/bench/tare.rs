@@ -61,6 +61,7 @@ pub async fn tare_untouched(
             at: stage.clock.timestamp(),
             frames: frames.len(),
             run: control.run_uid(),
+            stream_since: stage.bench.skin.counters().since,
         });
     }
     stage.begin_watch();
