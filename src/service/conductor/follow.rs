@@ -105,6 +105,7 @@ impl Conductor {
                 }
                 // The rig is not ready any more, for example without wires: no fault of this run.
                 Err(ConductorError::Refused(_)) if !self.inner.campaign.status().rig.is_ready() => {
+                    *unanswered = 0;
                     return Ok(None);
                 }
                 // The store may answer again, and nothing was requested of the rig.
@@ -475,10 +476,13 @@ mod tests {
         let run = queued(&conductor, None).await;
         conductor.inner.store.set_waiting(run.uid).await.unwrap();
         conductor.let_wait([run.uid]);
-        inbox.status.send_modify(|status| status.rig.state = RigState::Homed);
         // The campaign takes no request any more.
-        drop(inbox);
-        let mut unanswered = 0;
+        drop(inbox.requests);
+        // The rig is not ready any more after the last of them: later ones are counted from the first.
+        let mut unanswered = UNANSWERED_STARTS - 1;
+        let pause = conductor.begin_next(Timestamp::now(), &mut unanswered).await.unwrap();
+        assert_eq!((pause, unanswered), (None, 0));
+        inbox.status.send_modify(|status| status.rig.state = RigState::Homed);
         for attempt in 1..=UNANSWERED_STARTS {
             let pause = conductor.begin_next(Timestamp::now(), &mut unanswered).await.unwrap();
             let is_repeated = attempt < UNANSWERED_STARTS;

@@ -14,8 +14,8 @@ use crate::campaign::run::control::Control;
 use crate::campaign::run::halt::Halt;
 use crate::rig::traits::AxisStatus;
 
-/// Distance that z may sink during a lateral motion and the tare after it, beyond its tolerance, mm: more than an encoder
-/// jitters at rest, and less than the smallest clearance of a rig file (0.5 mm).
+/// Distance that z may sink during a lateral motion and the tare after it, beyond its tolerance, mm: more than an
+/// encoder jitters at rest, and less than the smallest clearance of a rig file (0.5 mm).
 const SINKS_MM: f64 = 0.2;
 
 impl Stage {
