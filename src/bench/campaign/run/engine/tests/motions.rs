@@ -167,6 +167,23 @@ async fn an_abort_during_a_tare_waits_for_no_frame() {
 }
 
 #[tokio::test]
+async fn untouched_frames_of_a_stream_that_is_opened_again_meanwhile_are_in_no_mean_with_others() {
+    let (axes, mut engine, handle) = with_handle();
+    let opened_at = jiff::Timestamp::UNIX_EPOCH;
+    *axes.skin.since.lock() = Some(opened_at);
+    let (stage, control) = parts(&mut engine);
+    tare_untouched(stage, control, 1, Accept::AnyZero).await.unwrap();
+    assert_eq!(handle.untouched().expect("frames").stream_since, Some(opened_at));
+    let again = async { *axes.skin.since.lock() = Some(jiff::Timestamp::now()) };
+    // In this order: the frames are awaited before it is opened again.
+    let tare = tare_untouched(stage, control, 1, Accept::AnyZero);
+    let (tared, ()) = futures::join!(tare, again);
+    tared.unwrap();
+    let skin = handle.untouched().expect("frames");
+    assert_eq!(skin.stream_since, Some(skin.at));
+}
+
+#[tokio::test]
 async fn a_tare_on_request_is_refused_unless_z_is_measured_clear_of_the_skin() {
     let (axes, mut engine, handle) = with_handle();
     // A few newtons, which a tare accepts as an offset.
