@@ -335,6 +335,7 @@ async fn a_trial_has_the_untouched_skin_that_was_measured_last_before_it() {
         at: started_at - jiff::SignedDuration::from_secs(before_s),
         frames: 4,
         run: Some(run),
+        stream_since: (before_s < 60).then_some(started_at),
     };
     let first = store.trial(run, &trial(0)).await.unwrap();
     assert!(store.untouched_before(&[first]).await.unwrap().is_empty());
@@ -387,6 +388,7 @@ async fn untouched_frames_of_an_earlier_version_are_placed_by_their_times() {
         at: time("2026-11-20T17:00:00Z"),
         frames: 30,
         run: Some(run),
+        stream_since: None,
     };
     store.untouched(run, &skin).await.unwrap();
     let next = store.trial(run, &random_trial(3, 1)).await.unwrap();

@@ -247,6 +247,8 @@ pub fn frame(sequence: u32, counts: Vec<i16>) -> Arc<Frame> {
 pub struct Skin {
     /// Time until they arrive, wall time.
     pub takes: Mutex<Duration>,
+    /// Wall time since which its stream is open; none if it is not known.
+    pub since: Mutex<Option<Timestamp>>,
 }
 
 #[async_trait]
@@ -260,7 +262,7 @@ impl SkinReader for Skin {
     }
 
     fn counters(&self) -> StreamCounters {
-        StreamCounters::default()
+        StreamCounters { since: *self.since.lock(), ..StreamCounters::default() }
     }
 
     async fn take(&self, _: Instant, count: usize) -> Result<Vec<Arc<Frame>>, RigError> {

@@ -69,6 +69,17 @@ impl RigAction {
         }
     }
 
+    /// As [`Self::refused`], and a tare also because of the last reading of z. For those who offer it: the campaign
+    /// reads z again before it refuses.
+    pub fn refused_now(self, status: &Status) -> Option<String> {
+        self.refused(status).or_else(|| {
+            // The tare of a manual run is that of the skin.
+            let is_manual = status.run.as_ref().is_some_and(|run| run.is_manual);
+            let z = status.rig.not_clear.as_ref().filter(|_| self == Self::Tare && !is_manual)?;
+            Some(z.refuses_tare(status.rig.state))
+        })
+    }
+
     /// Why the rig refuses it in this state, as text; `None` if it does not.
     pub fn refused_by_rig(self, rig: &RigStatus) -> Option<String> {
         if self.needs_stage() && !rig.has_stage {
@@ -112,6 +123,7 @@ impl RigAction {
 #[cfg(test)]
 pub(super) mod tests {
     use super::*;
+    use crate::campaign::bench::not_clear::NotClear;
     use crate::campaign::shown::show;
     use crate::campaign::shown::status::RunStatus;
     use crate::ids::RunUid;
@@ -189,6 +201,25 @@ pub(super) mod tests {
         assert!(allowed(&tripped).is_empty());
         let why = RigAction::Home.refused(&tripped).unwrap();
         assert_eq!(why, "home is not possible while run 3 is running: pause or end it first");
+    }
+
+    #[test]
+    fn a_tare_is_not_offered_while_the_last_reading_of_z_refuses_it() {
+        let mut homed = status(BENCH, RigState::Homed);
+        assert_eq!(RigAction::Tare.refused_now(&homed), None);
+        homed.rig.not_clear = Some(NotClear::NotHomed);
+        let refused = |status: &Status| -> Vec<&'static str> {
+            let refused = RigAction::ALL.iter().filter(|one| one.refused_now(status).is_some());
+            refused.map(|action| action.as_str()).collect()
+        };
+        assert_eq!(refused(&homed), ["connect", "tare", "reset"]);
+        let words = NotClear::NotHomed.refuses_tare(RigState::Homed);
+        assert_eq!(RigAction::Tare.refused_now(&homed), Some(words));
+        // The frame of the untouched skin needs no z.
+        homed.run = Some(RunStatus { is_manual: true, ..waiting(PausedWhy::ManualTrial) });
+        assert_eq!(RigAction::Tare.refused_now(&homed), None);
+        homed.rig.state = RigState::Disconnected;
+        assert_eq!(RigAction::Tare.refused_now(&homed).as_deref(), Some(NO_WIRES));
     }
 
     #[test]

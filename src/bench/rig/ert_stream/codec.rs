@@ -51,6 +51,8 @@ pub struct Tally {
     pub missed: u64,
     /// Number of packets with a wrong code, length, version, electrode count, scale or checksum.
     pub garbled: u64,
+    /// Number of restarts of the device according to the sequence numbers.
+    pub restarts: u64,
 }
 
 /// Splits a byte stream into packets. The result does not depend on how the bytes are portioned.
@@ -140,6 +142,8 @@ impl Decoder {
         // A lower number means that the device was restarted; nothing is missing then.
         if step < u32::MAX / 2 {
             self.tally.missed += u64::from(step - 1);
+        } else {
+            self.tally.restarts += 1;
         }
         self.last_sequence = Some(frame.sequence);
         self.tally.frames += 1;
@@ -239,6 +243,14 @@ mod tests {
         bytes.extend(frame(4, 2));
         assert_eq!(sequences(&decode(&mut decoder, &bytes)), [2]);
         assert_eq!(decoder.tally().garbled, 0);
+    }
+
+    #[test]
+    fn a_device_that_counts_again_from_its_start_was_restarted_and_nothing_is_missing() {
+        let mut decoder = Decoder::new(4);
+        let bytes = [7, 8, 2, 3].map(|sequence| frame(4, sequence)).concat();
+        assert_eq!(sequences(&decode(&mut decoder, &bytes)), [7, 8, 2, 3]);
+        assert_eq!((decoder.tally().missed, decoder.tally().restarts), (0, 1));
     }
 
     #[test]

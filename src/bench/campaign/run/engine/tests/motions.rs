@@ -15,6 +15,7 @@ use crate::campaign::bench::travel::Target;
 use crate::campaign::run::halt::Halt;
 use crate::campaign::safe_end::raise_as_planned;
 use crate::campaign::shown::command::{Refusal, Request};
+use crate::campaign::shown::rig_action::RigAction;
 use crate::campaign::shown::status::Motion;
 use crate::clock::Clock;
 use crate::rig::traits::AxisStatus;
@@ -166,33 +167,54 @@ async fn an_abort_during_a_tare_waits_for_no_frame() {
 }
 
 #[tokio::test]
+async fn untouched_frames_of_a_stream_that_is_opened_again_meanwhile_are_in_no_mean_with_others() {
+    let (axes, mut engine, handle) = with_handle();
+    let opened_at = jiff::Timestamp::UNIX_EPOCH;
+    *axes.skin.since.lock() = Some(opened_at);
+    let (stage, control) = parts(&mut engine);
+    tare_untouched(stage, control, 1, Accept::AnyZero).await.unwrap();
+    assert_eq!(handle.untouched().expect("frames").stream_since, Some(opened_at));
+    let again = async { *axes.skin.since.lock() = Some(jiff::Timestamp::now()) };
+    // In this order: the frames are awaited before it is opened again.
+    let tare = tare_untouched(stage, control, 1, Accept::AnyZero);
+    let (tared, ()) = futures::join!(tare, again);
+    tared.unwrap();
+    let skin = handle.untouched().expect("frames");
+    assert_eq!(skin.stream_since, Some(skin.at));
+}
+
+#[tokio::test]
 async fn a_tare_on_request_is_refused_unless_z_is_measured_clear_of_the_skin() {
     let (axes, mut engine, handle) = with_handle();
     // A few newtons, which a tare accepts as an offset.
     axes.cells.volts.lock()[0] = 0.65;
     let zeros_v = |engine: &Engine| engine.stage().expect("a stage").tare_v;
     let (before_v, clear) = (zeros_v(&engine), axes.z.present());
-    for (z, why) in [
-        (AxisStatus { position: 60.0, ..clear }, "z at 60.000 mm, limit "),
-        (AxisStatus { moving: true, ..clear }, "z still moves, at 0.000 mm"),
-        (AxisStatus { homed: false, ..clear }, "z is not homed, and its position is not known"),
-        (AxisStatus { position: -30.0, ..clear }, "z measured at -30.000, outside its travel"),
-        (AxisStatus { alarm: Some(1), ..clear }, "z reports alarm 0x1"),
-        (AxisStatus { ready: false, ..clear }, "z is not ready, without an alarm"),
+    let [home, clears] = ["home it first (palpate rig home)", "clear the cause, then home it "];
+    for (z, why, next) in [
+        (AxisStatus { position: 60.0, ..clear }, "z at 60.000 mm, limit ", home),
+        (AxisStatus { moving: true, ..clear }, "z still moves, at 0.000 mm", "wait until z is at"),
+        (AxisStatus { homed: false, ..clear }, "z is not homed, and its position is not", home),
+        (AxisStatus { position: -30.0, ..clear }, "z measured at -30.000, outside its", clears),
+        (AxisStatus { alarm: Some(1), ..clear }, "z reports alarm 0x1", clears),
+        (AxisStatus { ready: false, ..clear }, "z is not ready, without an alarm", clears),
     ] {
         *axes.z.status.lock() = z;
         let refused = answered(&mut engine, handle.ask(Request::Tare)).await;
         let Err(Refusal::State(words)) = &refused else { panic!("{why}: {refused:?}") };
-        let (begins, next) = (
-            format!("tare is not possible: {why}"),
-            "; the rig is disarmed: home it first (palpate rig home)",
-        );
-        assert!(words.starts_with(&begins) && words.ends_with(next), "{words}");
+        let (begins, next) =
+            (format!("tare is not possible: {why}"), format!("; the rig is disarmed: {next}"));
+        assert!(words.starts_with(&begins) && words.contains(&next), "{words}");
+        engine.look().await;
+        let offered = RigAction::Tare.refused_now(&handle.status());
+        assert_eq!(offered.as_ref(), Some(words), "it is not offered");
     }
     assert_eq!(zeros_v(&engine), before_v);
     let starts = axes.z.starts.load(Ordering::SeqCst);
     assert_eq!((starts, axes.stops(), latched(&engine)), (0, 0, None), "nothing moves for it");
     *axes.z.status.lock() = clear;
+    engine.look().await;
+    assert_eq!(RigAction::Tare.refused_now(&handle.status()), None);
     assert_eq!(answered(&mut engine, handle.ask(Request::Tare)).await, Ok(()));
     assert!(zeros_v(&engine)[0] > before_v[0]);
 }
