@@ -247,8 +247,11 @@ async fn make(client: &Client, args: &MakeArgs) -> CliResult<()> {
 async fn make_each(client: &Client, args: &MakeArgs) -> CliResult<()> {
     let file = args.what.display().to_string();
     let definition: Definition = parse_toml(&file, &read_as(FileKind::Dataset, &args.what)?)?;
+    let definitions = definition.each_run_left_out(&file)?;
+    let names: Vec<&str> = definitions.iter().map(|one| one.name.as_str()).collect();
+    let datasets = names.join(" --dataset ");
     let (mut items, mut words) = (Vec::new(), Vec::new());
-    for definition in definition.each_run_left_out(&file)? {
+    for definition in &definitions {
         let row = made(client, &json!({ "definition": definition, "file": file })).await?;
         words.push(described(&row, client.url()));
         items.push(row);
@@ -256,8 +259,8 @@ async fn make_each(client: &Client, args: &MakeArgs) -> CliResult<()> {
     args.at.output().say(&json!({ "items": items }), words.join("\n\n"));
     Next::of(&args.at)
         .suggest(
-            format_args!("palpate evaluate quantity force --dataset {}-RUN", definition.name),
-            "trains nets without the run, and scores them on it",
+            format_args!("palpate evaluate quantity force --dataset {datasets}"),
+            "trains nets without each run, and scores them on it",
         )
         .say();
     Ok(())
