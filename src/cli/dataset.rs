@@ -10,7 +10,7 @@ use serde_json::{Value, json};
 use super::client::{Client, text_of};
 use super::download::DATASET_WAIT;
 use super::embed::Purpose::{Computes, Reads, Stores};
-use super::error::CliResult;
+use super::error::{CliError, CliResult};
 use super::export::{self, ExportArgs};
 use super::federate::{FederateArgs, federate};
 use super::files::read_as;
@@ -252,7 +252,11 @@ async fn make_each(client: &Client, args: &MakeArgs) -> CliResult<()> {
     let datasets = names.join(" --dataset ");
     let (mut items, mut words) = (Vec::new(), Vec::new());
     for definition in &definitions {
-        let row = made(client, &json!({ "definition": definition, "file": file })).await?;
+        let body = json!({ "definition": definition, "file": file });
+        let row = match made(client, &body).await {
+            Ok(row) => row,
+            Err(error) => return Err(after(&items, &definition.name, error)),
+        };
         words.push(described(&row, client.url()));
         items.push(row);
     }
@@ -264,6 +268,16 @@ async fn make_each(client: &Client, args: &MakeArgs) -> CliResult<()> {
         )
         .say();
     Ok(())
+}
+
+/// The error of a dataset, with those that were made before it from the same file.
+fn after(made: &[Value], name: &str, error: CliError) -> CliError {
+    if made.is_empty() {
+        return error;
+    }
+    let named = |row: &Value| format!("{} {}", text_of(&row["name"]), text_of(&row["id"]));
+    let made: Vec<String> = made.iter().map(named).collect();
+    CliError::NotAllMade { name: name.into(), made, error: Box::new(error) }
 }
 
 /// The dataset that the service has made as requested.
