@@ -308,6 +308,23 @@ async fn fig_12_is_made_of_imported_trials_of_another_skin() {
 }
 
 #[tokio::test]
+async fn the_map_of_a_carried_recipe_follows_the_skin_and_that_of_a_file_does_not() {
+    let data = folder("evaluate-scaled");
+    pad(&data).await;
+    let trained = |recipe: &str| -> String {
+        let printed = succeeded(&palpate(&data, &["train", recipe, "--dataset", "pad", "--json"]));
+        let last: Value = serde_json::from_str(printed.lines().last().unwrap()).unwrap();
+        last["model"]["manifest"]["recipe"].as_str().unwrap().to_owned()
+    };
+    let recipe = trained("end-to-end-ridge");
+    assert!(recipe.contains("map = \"0.72x3.6x115.2\""), "{recipe}");
+    let carried = succeeded(&palpate(&data, &["train", "end-to-end-ridge", "--show"]));
+    fs::write(data.join("mine.toml"), carried.replace("\"end-to-end-ridge\"", "\"mine\"")).unwrap();
+    let recipe = trained("mine.toml");
+    assert!(recipe.contains("map = \"4x20\""), "{recipe}");
+}
+
+#[tokio::test]
 async fn a_learning_curve_states_the_labels_of_all_rows() {
     let data = folder("evaluate-labels");
     trials(&data).await;
