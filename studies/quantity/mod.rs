@@ -25,7 +25,7 @@ pub struct Compared {
     pub quantity: Quantity,
     /// Names or ids of datasets with a split; each counts once in the mean of several.
     pub datasets: Vec<String>,
-    /// Conditions on its rows, each `COLUMN__lte=VALUE`.
+    /// Conditions on their rows, each `COLUMN__lte=VALUE`.
     pub conditions: Vec<String>,
     /// Recipes of nets to train: carried ones, or files.
     pub recipes: Vec<String>,
