@@ -19,7 +19,7 @@ use sim_core::sensor::Sensor;
 
 use crate::datasets::filled::{end, new_run, placed, points, store};
 use crate::support::{
-    Folder, command, done, not_done, sensor, skin_cache, succeeded, with_responses,
+    Folder, VIRTUAL_RIG, command, done, not_done, sensor, skin_cache, succeeded, with_responses,
 };
 
 /// Weights, each on another place; 10 of these places are held out.
@@ -64,7 +64,7 @@ async fn a_run_yields_a_calibration_that_a_service_takes_and_a_lack_of_trials_is
     let folder = Folder::new("calibrate-skin");
     with_responses(&folder);
     let store = store(&folder).await;
-    let new = NewRun { rig: None, ..new_run(RunKind::RealRandom, "weights") };
+    let new = NewRun { rig: Some(VIRTUAL_RIG.into()), ..new_run(RunKind::RealRandom, "weights") };
     let run = store.create_run(new).await.unwrap().uid;
     for trial in trials() {
         store.trial(run, &trial).await.unwrap();
