@@ -1,5 +1,5 @@
 //! Files that orders name by their sha256, such as datasets: a worker fetches each once, for all of its slots.
-//! Uses: `store`, tokio's files. Never: a file that was not compared with its hash.
+//! Uses: `store`, files of std and tokio. Never: a file that was not compared with its hash.
 
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};

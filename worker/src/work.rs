@@ -1,7 +1,7 @@
 //! A worker: takes chunks, makes them and acknowledges them until it is requested to end.
 //! Uses: `queue`, `chunk`, `pause`, `scratch`, tokio's signals. Never: a chunk acknowledged before its result is in the
-//! store; another chunk after SIGTERM or after its terminal was closed; a program that runs after the worker's folder was
-//! removed.
+//! store; another chunk after SIGTERM or after its terminal was closed; a program that runs after the worker's folder
+//! was removed.
 //!
 //! - One lease per worker, renewed by its heartbeats also while chunks are made. Each worker looks for leases
 //!   that have ended, and returns the chunks of those workers to the queue.

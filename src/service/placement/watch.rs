@@ -397,7 +397,8 @@ mod tests {
                 tokio::task::yield_now().await;
                 publish(now_mm, Instant::now());
             };
-            let (verdict, ()) = tokio::join!(watch.next_verdict(awaited.run, 3), follow);
+            // In this order at each turn: the confirmation reads what was before.
+            let (verdict, ()) = tokio::join!(biased; watch.next_verdict(awaited.run, 3), follow);
             kinds.push(verdict.kind);
             assert_eq!(*watch.inner.demand.borrow(), None, "no person waits any more");
         }
