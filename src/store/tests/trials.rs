@@ -3,7 +3,9 @@
 
 use std::sync::Arc;
 
-use super::{EARLY_RUN, Folder, execute, hex_trial, new_run, now, random_trial, time, with_run};
+use super::{
+    EARLY_RUN, Folder, execute, hex_trial, is_intact, new_run, now, random_trial, time, with_run,
+};
 use crate::ids::{RunUid, TrialId, TrialKey};
 use crate::journal::Journal;
 use crate::record::{Flag, TrialScalars, Untouched};
@@ -143,7 +145,7 @@ async fn a_full_disk_is_an_error_and_later_trials_are_stored() {
     assert_eq!(store.progress(run).await.unwrap().stored.len(), stored as usize);
     // The writer opened a new connection, without the limit: there is space again.
     store.trial(run, &hex_trial(stored, 0, &[9.0, 3.0])).await.unwrap();
-    store.integrity_check().await.unwrap();
+    is_intact(&store).await;
 }
 
 #[tokio::test]
@@ -202,7 +204,7 @@ async fn a_trial_taken_back_keeps_its_record_and_frees_its_key() {
     let again = store.trial(run, &back).await.unwrap();
     assert!(again > id);
     store.discard(run, TrialKey { configuration: 9, depth_index: 9 }, "no").await.unwrap_err();
-    store.integrity_check().await.unwrap();
+    is_intact(&store).await;
 }
 
 #[tokio::test]
@@ -381,7 +383,7 @@ async fn untouched_frames_of_an_earlier_version_are_placed_by_their_times() {
          VALUES (1, 1, '2026-11-20T18:00:03.000Z', 30, x'0000803f', 2896259690),
              (2, 1, '2026-11-20T18:00:05.000Z', 30, x'00000040', 1469619852);";
     let store = folder.open_from_before(25, &[EARLY_RUN, filled]).await;
-    store.integrity_check().await.unwrap();
+    is_intact(&store).await;
     let run = store.run_by_scan_id(1).await.unwrap().unwrap().uid;
     let skin = Untouched {
         voltages_v: vec![3.0],

@@ -19,7 +19,7 @@ use crate::clock::Clock;
 use crate::ids::{RunUid, TrialId, TrialKey};
 use crate::journal::{Event, ExitStatus, Journal, JournalError, Mounting, Progress};
 use crate::record::{
-    ARMS, AttemptRecord, ReferenceRecord, TareRecord, TouchOffRecord, TrialRecord, Untouched,
+    ARMS, AttemptRecord, Flag, ReferenceRecord, TareRecord, TouchOffRecord, TrialRecord, Untouched,
 };
 use crate::rig::config::{Guard, RigConfig};
 use crate::rig::error::RigError;
@@ -330,8 +330,8 @@ impl StandIns {
     }
 }
 
-/// A journal that takes everything and keeps only the kinds and times of the events; which trials are stored a test
-/// states.
+/// A journal that takes everything and keeps only the flags of the trials, and the kinds and times of the events; which
+/// trials are stored a test states.
 #[derive(Debug, Default)]
 pub struct Forgetful {
     /// Keys of the trials that are stored.
@@ -340,6 +340,8 @@ pub struct Forgetful {
     pub discards_fail: AtomicBool,
     /// Time that it takes to discard one, wall time.
     pub discards_take: Mutex<Duration>,
+    /// Flags of each trial.
+    pub flags: Mutex<Vec<Vec<Flag>>>,
     /// Kind of each event.
     pub events: Mutex<Vec<String>>,
     /// Wall time of each event.
@@ -357,7 +359,8 @@ impl Forgetful {
 
 #[async_trait]
 impl Journal for Forgetful {
-    async fn trial(&self, _: RunUid, _: &TrialRecord) -> Result<TrialId, JournalError> {
+    async fn trial(&self, _: RunUid, trial: &TrialRecord) -> Result<TrialId, JournalError> {
+        self.flags.lock().push(trial.flags.clone());
         Ok(TrialId(1))
     }
 
