@@ -15,25 +15,12 @@ pub const ARMS: usize = 6;
 #[derive(Debug, thiserror::Error)]
 #[allow(missing_docs, reason = "the message names the fields")]
 pub enum ConfigError {
-    /// The text is not TOML or lacks a key.
     #[error("rig file: {0}")]
     Syntax(#[from] toml::de::Error),
-    /// A device names a wire that the file does not have.
     #[error("{device}.line = {line}: must be one of [lines]")]
     UnknownLine { device: String, line: String },
-    /// Two devices have the same address on one wire.
     #[error("{first} and {second} share unit {unit} on line {line}")]
-    SharedUnit {
-        /// Key of the first device.
-        first: String,
-        /// Key of the second device.
-        second: String,
-        /// Name of their wire.
-        line: String,
-        /// Modbus address that they share.
-        unit: u8,
-    },
-    /// A value is outside its limits.
+    SharedUnit { first: String, second: String, line: String, unit: u8 },
     #[error("{key} = {value}: {limit}")]
     Value { key: String, value: String, limit: &'static str },
 }

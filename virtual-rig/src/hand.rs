@@ -16,10 +16,8 @@ const MISTAKE_MM: f64 = 60.0;
 #[derive(Debug, thiserror::Error)]
 #[allow(missing_docs, reason = "the message names the fields")]
 pub enum HandError {
-    /// The probability of mistakes is invalid, or no sensor file names the points.
     #[error("--mistakes {0}: must be from 0 to 1, with --sensor FILE")]
     Mistakes(f64),
-    /// The sensor file cannot be read.
     #[error("{path}: {why}", path = path.display())]
     Sensor { path: PathBuf, why: String },
 }

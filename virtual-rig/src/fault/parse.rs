@@ -13,7 +13,6 @@ pub enum FaultError {
     /// The text is not TOML (or JSON), or has a key or a type that a fault does not have.
     #[error("{0}")]
     Syntax(String),
-    /// A value of a fault is not valid.
     #[error("fault {index}: {key} = {value}: {limit}")]
     Value { index: usize, key: &'static str, value: String, limit: String },
 }

@@ -5,16 +5,13 @@
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[allow(missing_docs, reason = "the message names the fields")]
 pub enum LineError {
-    /// No reply arrived within the deadline.
     #[error("no reply within {timeout_ms} ms")]
     NoReply { timeout_ms: u64 },
     /// The wire could not be opened, or the connection was lost.
     #[error("wire lost: {cause}")]
     Disconnected { cause: String },
-    /// The reply does not fit the request.
     #[error("garbled reply: {cause}")]
     Garbled { cause: String },
-    /// The device replied with a Modbus exception.
     #[error("exception {code}")]
     Exception { code: u8 },
     /// A motion was refused because the emergency stop of the rig is latched.
