@@ -104,9 +104,7 @@ impl StandIn {
 
     /// Waits until a motion or homing of it was started.
     pub async fn started(&self) {
-        while self.starts.load(Ordering::SeqCst) == 0 {
-            tokio::time::sleep(Duration::from_millis(1)).await;
-        }
+        until(|| self.starts.load(Ordering::SeqCst) > 0).await;
     }
 
     fn reply(&self, operation: &str) -> Result<(), RigError> {
@@ -127,6 +125,21 @@ impl StandIn {
         *self.status.lock() = self.after_start.lock().take().unwrap_or(reached);
         Ok(())
     }
+}
+
+/// The output of what must end, also on a loaded machine.
+pub async fn soon<T>(work: impl Future<Output = T>) -> T {
+    tokio::time::timeout(Duration::from_secs(60), work).await.expect("it ends in time")
+}
+
+/// Waits until this holds.
+pub async fn until(holds: impl Fn() -> bool) {
+    let wait = async {
+        while !holds() {
+            tokio::time::sleep(Duration::from_millis(1)).await;
+        }
+    };
+    soon(wait).await;
 }
 
 /// Waits for this time; does not yield if it is zero.

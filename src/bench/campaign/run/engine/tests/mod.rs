@@ -14,7 +14,7 @@ use crate::campaign::bench::estop::StopSwitch;
 use crate::campaign::bench::interlock::{Trip, TripKind};
 use crate::campaign::bench::rig_state::{RigEvent, RigState};
 use crate::campaign::bench::stage::{AxisName, Height, Stage};
-use crate::campaign::bench::stand_in::{StandIns, config};
+use crate::campaign::bench::stand_in::{StandIns, config, until};
 use crate::campaign::bench::travel::Target;
 use crate::campaign::diary::Diary;
 use crate::campaign::run::control::Control;
@@ -49,7 +49,7 @@ pub(super) fn engine() -> (StandIns, Engine) {
     (axes, engine)
 }
 
-/// As `engine`, with the handle for requests.
+/// As `engine`, with the handle for requests. A run that waits is left once the handle is dropped.
 pub(super) fn with_handle() -> (StandIns, Engine, Handle) {
     let axes = StandIns::default();
     let (engine, handle) = on(&axes);
@@ -156,9 +156,7 @@ async fn stop(engine: &mut Engine) {
     engine.control.estop.press("test");
     engine.control.latch(&Trip { kind: TripKind::Estop, detail: "test".into() });
     let known = || engine.control.estop.pressed().and_then(|press| press.acknowledged_ms());
-    while known().is_none() {
-        tokio::time::sleep(Duration::from_millis(1)).await;
-    }
+    until(|| known().is_some()).await;
 }
 
 /// The answer to a request that arrives while something moves, and whether the motion continues.
@@ -337,12 +335,7 @@ async fn an_e_stop_while_the_wires_are_opened_leaves_them_open_for_the_stops_and
         let stops = estop.pressed().map_or_else(Vec::new, |press| press.stops());
         stops.len() == 4 && stops.iter().all(|stop| stop.error.is_some())
     };
-    let tried = async {
-        while !is_tried() {
-            tokio::time::sleep(Duration::from_millis(10)).await;
-        }
-    };
-    tokio::time::timeout(Duration::from_secs(20), tried).await.expect("a stop for each axis");
+    until(is_tried).await;
     assert!(engine.reset(estop.presses(), None).await.is_err());
 }
 
