@@ -334,16 +334,13 @@ mod tests {
     }
 
     #[test]
-    fn two_devices_at_one_address_are_refused() {
-        let text = VIRTUAL.replacen("unit = 2", "unit = 1", 1);
-        let error = RigFile::from_toml(&text).unwrap_err().to_string();
-        assert_eq!(error, "axes.x and axes.y share unit 1 on line stage");
-    }
-
-    #[test]
-    fn a_missing_line_is_named() {
-        let text = VIRTUAL.replacen("line = \"cells\"", "line = \"celsl\"", 1);
-        let error = RigFile::from_toml(&text).unwrap_err().to_string();
-        assert_eq!(error, "cells.line = celsl: must be one of [lines]");
+    fn two_devices_at_one_address_and_a_missing_line_are_refused() {
+        for (from, to, words) in [
+            ("unit = 2", "unit = 1", "axes.x and axes.y share unit 1 on line stage"),
+            ("\"cells\"", "\"celsl\"", "cells.line = celsl: must be one of [lines]"),
+        ] {
+            let error = RigFile::from_toml(&VIRTUAL.replacen(from, to, 1)).unwrap_err();
+            assert_eq!(error.to_string(), words);
+        }
     }
 }

@@ -15,6 +15,7 @@ use tokio::sync::broadcast;
 use tokio::time::Instant;
 
 use crate::campaign::bench::stage::Stage;
+use crate::campaign::run::job::Job;
 use crate::clock::Clock;
 use crate::ids::{RunUid, TrialId, TrialKey};
 use crate::journal::{Event, ExitStatus, Journal, JournalError, Mounting, Progress};
@@ -26,12 +27,26 @@ use crate::rig::error::RigError;
 use crate::rig::traits::{
     Axis, AxisStatus, Bench, CellVolts, Found, Frame, LoadCells, SkinReader, StreamCounters,
 };
+use crate::schedule::tests::{hex, planned};
 use crate::state::StateChange;
 
 /// The rig file of the stand-ins.
 pub fn config() -> RigConfig {
     let text = include_str!("../../../../experiments/rigs/virtual.toml");
     RigConfig::from_toml("virtual.toml", text).expect("the virtual rig file is sound")
+}
+
+/// A run of one tip.
+pub fn job() -> Job {
+    Job {
+        run: RunUid::new(),
+        scan_id: 1,
+        plan: planned(&hex(3, "tips = [1]\nconfigurations = 2\ndepths = 2\n")),
+        predicted_trial_s: 1.0,
+        auto_resume: true,
+        has_waited: false,
+        bytes_per_trial: 4000,
+    }
 }
 
 /// An axis that reaches each target at once.

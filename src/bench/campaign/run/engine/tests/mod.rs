@@ -14,6 +14,7 @@ use crate::campaign::bench::estop::StopSwitch;
 use crate::campaign::bench::interlock::{Trip, TripKind};
 use crate::campaign::bench::rig_state::{RigEvent, RigState};
 use crate::campaign::bench::stage::{AxisName, Height, Stage};
+pub(super) use crate::campaign::bench::stand_in::job;
 use crate::campaign::bench::stand_in::{StandIns, config, until};
 use crate::campaign::bench::travel::Target;
 use crate::campaign::diary::Diary;
@@ -25,12 +26,11 @@ use crate::campaign::shown::command::{Handle, Refusal, Request, channel};
 use crate::campaign::shown::show;
 use crate::campaign::shown::status::{Done, Wanted};
 use crate::clock::Clock;
-use crate::ids::{RunUid, TrialKey};
+use crate::ids::TrialKey;
 use crate::journal::{ExitStatus, Journal};
 use crate::record::TouchOffRecord;
 use crate::rig::setup::RigSetup;
 use crate::schedule::plan::Kind;
-use crate::schedule::tests::{hex, planned};
 use crate::suspension::Suspensions;
 
 mod attended;
@@ -68,19 +68,6 @@ fn on(axes: &StandIns) -> (Engine, Handle) {
     let (skin, tasks) = (stage.bench.skin.clone(), engine.serve_stops(&stage.bench));
     engine.connected(skin, BTreeMap::new(), Some(stage), clock, wires, tasks).unwrap();
     (engine, handle)
-}
-
-/// A run of one tip.
-pub(super) fn job() -> Job {
-    Job {
-        run: RunUid::new(),
-        scan_id: 1,
-        plan: planned(&hex(3, "tips = [1]\nconfigurations = 2\ndepths = 2\n")),
-        predicted_trial_s: 1.0,
-        auto_resume: true,
-        has_waited: false,
-        bytes_per_trial: 4000,
-    }
 }
 
 /// The stage and the control of an engine.
