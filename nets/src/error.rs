@@ -28,7 +28,7 @@ pub fn require(
 /// Result of reading samples.
 pub type SamplesResult<T> = Result<T, SamplesError>;
 
-/// Why samples could not be read; samples and their numbers count from 0.
+/// Why samples could not be read; samples and their numbers count from 0, a side is `input` or `target`.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[allow(missing_docs, reason = "the message names the fields")]
 pub enum SamplesError {
@@ -38,12 +38,7 @@ pub enum SamplesError {
         "sample {sample}: {side} number {number} is not finite; the condition missing_channels=0 excludes rows that lack \
          a channel"
     )]
-    NotFinite {
-        sample: u64,
-        /// `"input"` or `"target"`.
-        side: &'static str,
-        number: usize,
-    },
+    NotFinite { sample: u64, side: &'static str, number: usize },
 }
 
 /// Why bytes are not a checkpoint of this training.

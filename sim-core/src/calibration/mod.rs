@@ -30,11 +30,7 @@ pub enum CalibrationError {
     #[error("{key} = {value}: {limit}")]
     Value { key: String, value: String, limit: String },
     #[error("id = {found}: the content's id is {needed}; calibrate again, do not edit")]
-    Id {
-        /// Id in the file; `none` if there is none.
-        found: String,
-        needed: String,
-    },
+    Id { found: String, needed: String },
     #[error("sensor = {found}: the calibration is of another sensor than {needed}")]
     OtherSensor { found: String, needed: String },
     /// The moduli were fitted on another mesh: point loads make them depend on it.

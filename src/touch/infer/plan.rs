@@ -37,15 +37,11 @@ pub enum PlanError {
     Onnx(#[from] OnnxError),
     #[error("operator {operator}: not supported by the engine")]
     Operator { operator: String },
+    /// `found`: lengths, batch first; `None` is open.
     #[error(
         "input `{name}` takes {found:?}, must take any number of frames of {channels} channels"
     )]
-    Input {
-        name: String,
-        /// Its lengths, batch first; `None` is open.
-        found: Vec<Option<usize>>,
-        channels: usize,
-    },
+    Input { name: String, found: Vec<Option<usize>>, channels: usize },
     #[error("output `{name}` is {found} for {batch} frames, must be {wanted:?} for each")]
     Output { name: String, found: String, batch: usize, wanted: Vec<usize> },
     #[error("operation `{operation}` has {numbers} numbers: at most {TENSOR_NUMBERS_MAX}")]

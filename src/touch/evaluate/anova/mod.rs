@@ -53,11 +53,9 @@ pub enum AnovaError {
     Place { at: Vec<usize> },
     #[error("sample {value}: must be finite")]
     Sample { value: f64 },
+    /// `at`: `factor = level`, for each factor.
     #[error("no samples at {}: interactions cannot be determined", .at.join(", "))]
-    EmptyCell {
-        /// `factor = level`, for each factor.
-        at: Vec<String>,
-    },
+    EmptyCell { at: Vec<String> },
     /// One sample in each cell: the variance within cells cannot be estimated.
     #[error("{samples} samples for {cells} cells: at least one cell needs more than one")]
     TooFew { samples: u64, cells: usize },

@@ -40,12 +40,10 @@ pub enum OnnxError {
     TooLarge { bytes: usize },
     #[error("not an ONNX file, or a damaged one: {0}")]
     Damaged(String),
+    /// `found`: 0 if the file states none.
     #[error("operator set {found}: must be from {} to {} (export with opset_version=17)",
         OPSETS.start(), OPSETS.end())]
-    Opset {
-        /// Operator set of the file; 0 if it states none.
-        found: i64,
-    },
+    Opset { found: i64 },
     /// The file uses a feature of ONNX that is excluded for safety.
     #[error("{place}: {what} cannot be served")]
     Unsupported { place: String, what: &'static str },

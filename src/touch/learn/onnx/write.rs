@@ -15,18 +15,12 @@ use super::graph::{Graph, float, int, ints, text, value};
 const IR_VERSION: i64 = 8;
 const OPSET: i64 = 17;
 
-/// Why a net cannot be written.
+/// Why a net cannot be written; a layer is named by its kind and index, as in `dense_3`.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[allow(missing_docs, reason = "the message names the fields")]
 pub enum WriteError {
     #[error("layer {layer}: {tensor} holds {found} numbers, must hold {wanted}")]
-    Length {
-        /// Kind and index of the layer, as in `dense_3`.
-        layer: String,
-        tensor: &'static str,
-        found: usize,
-        wanted: usize,
-    },
+    Length { layer: String, tensor: &'static str, found: usize, wanted: usize },
     #[error("layer {layer}: {tensor} holds a number that is not finite")]
     NotFinite { layer: String, tensor: &'static str },
     #[error("layer {layer}: needs {wanted}, input is {given}")]
