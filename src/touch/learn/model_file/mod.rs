@@ -166,20 +166,12 @@ impl ModelFacts {
         checks.require(channels, "model.channels", self.channels, &limit);
         let map = self.force_map.map_or("none".into(), |map| map.to_string());
         let limit = "must be set for nets with force maps as answers, and only for these";
-        checks.require(
-            self.task.gives_map() == self.force_map.is_some(),
-            "model.force_map",
-            map,
-            limit,
-        );
+        let is_right = self.task.gives_map() == self.force_map.is_some();
+        checks.require(is_right, "model.force_map", map, limit);
         let is_pattern = self.task == NetTask::Pattern;
         let limit = "must be set for the task pattern, and only for it";
-        checks.require(
-            is_pattern != self.places_mm.is_empty(),
-            "model.places_mm",
-            self.places_mm.len(),
-            limit,
-        );
+        let is_right = is_pattern != self.places_mm.is_empty();
+        checks.require(is_right, "model.places_mm", self.places_mm.len(), limit);
         let wanted = self.task.output_shape(sensor, self.force_map, self.places_mm.len());
         let wanted = wanted.unwrap_or_else(|| self.output_shape.clone());
         let numbers = wanted.iter().try_fold(1, |n: usize, &l| n.checked_mul(l)).unwrap_or(0);
