@@ -54,10 +54,11 @@ pub enum ModelError {
 /// Result of work with contacts.
 pub type ContactResult<T> = Result<T, ContactError>;
 
-/// Why the model rejects a contact; contacts count from 0, and the smallest coordinate is a tip's radius.
+/// Why the model rejects a contact; contacts count from 0.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 #[allow(missing_docs, reason = "the message names the fields")]
 pub enum ContactError {
+    /// `field`: `x_mm` or `y_mm`; `least_mm`: a tip's radius.
     #[error(
         "contact {contact}: {field} = {value_mm} is outside {least_mm} to {most_mm} mm: \
          a tip must be wholly on the skin"

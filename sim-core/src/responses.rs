@@ -27,6 +27,7 @@ pub enum ResponsesError {
     Solve(#[from] SolveError),
     #[error("reading cached unit responses: {0}")]
     Damaged(Damage),
+    /// A cache belongs to another sensor, mesh or element.
     #[error("reading cached unit responses: key {found}, this sensor needs {needed}")]
     OtherKey { found: String, needed: String },
 }

@@ -18,6 +18,7 @@ const MISTAKE_MM: f64 = 60.0;
 pub enum HandError {
     #[error("--mistakes {0}: must be from 0 to 1, with --sensor FILE")]
     Mistakes(f64),
+    /// The sensor file cannot be read.
     #[error("{path}: {why}", path = path.display())]
     Sensor { path: PathBuf, why: String },
 }

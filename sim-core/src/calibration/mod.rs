@@ -29,6 +29,7 @@ pub enum CalibrationError {
     Syntax(String),
     #[error("{key} = {value}: {limit}")]
     Value { key: String, value: String, limit: String },
+    /// `found`: `none` if the file has no id.
     #[error("id = {found}: the content's id is {needed}; calibrate again, do not edit")]
     Id { found: String, needed: String },
     #[error("sensor = {found}: the calibration is of another sensor than {needed}")]

@@ -10,10 +10,13 @@ pub enum RigError {
     /// The wire could not be opened, or the connection was lost.
     #[error("{device}: wire lost in {operation}: {cause}")]
     Disconnected { device: String, operation: String, cause: String },
+    /// The reply does not fit the request.
     #[error("{device}: garbled reply to {operation}: {cause}")]
     Garbled { device: String, operation: String, cause: String },
+    /// The device replied with a Modbus exception.
     #[error("{device}: {operation} answered with exception {code}")]
     Exception { device: String, operation: String, code: u8 },
+    /// The device is not the one in the rig file, or has another setup.
     #[error("{device}: {found}, but the rig file needs {needed}")]
     WrongDevice { device: String, found: String, needed: String },
     /// A commanded position is outside the soft limits; nothing was sent.

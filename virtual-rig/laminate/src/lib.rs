@@ -77,6 +77,7 @@ pub struct Touch {
 pub enum LaminateError {
     #[error(transparent)]
     Laws(#[from] ValueError),
+    /// A system of equations has no solution.
     #[error("{part}: {why}")]
     Solve { part: &'static str, why: String },
     #[error(

@@ -10,8 +10,10 @@ pub enum LineError {
     /// The wire could not be opened, or the connection was lost.
     #[error("wire lost: {cause}")]
     Disconnected { cause: String },
+    /// The reply does not fit the request.
     #[error("garbled reply: {cause}")]
     Garbled { cause: String },
+    /// The device replied with a Modbus exception.
     #[error("exception {code}")]
     Exception { code: u8 },
     /// A motion was refused because the emergency stop of the rig is latched.

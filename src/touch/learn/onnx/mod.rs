@@ -49,8 +49,10 @@ pub enum OnnxError {
     Unsupported { place: String, what: &'static str },
     #[error("tensor `{tensor}`: shape {shape:?} and {found} bytes of data do not agree")]
     Tensor { tensor: String, shape: Vec<i64>, found: usize },
+    /// A name has no definition before its use, or two definitions.
     #[error("{place}: `{name}` is {fault}")]
     Name { place: String, name: String, fault: &'static str },
+    /// Input or output is not exactly one tensor of 32-bit floats.
     #[error("{what}: must be {wanted}, is {found}")]
     Port { what: &'static str, wanted: &'static str, found: String },
 }
