@@ -1,6 +1,6 @@
 //! Stand-ins for unit tests: axes, cells and a skin that obey the test, without wires or time, and a journal
 //! that takes everything.
-//! Uses: `rig::traits`, `journal`, `run::job`. Never: in a program.
+//! Uses: `rig::traits`, `journal`, `run::job`, the plans of `schedule::tests`. Never: in a program.
 
 use std::collections::BTreeSet;
 use std::sync::Arc;

@@ -324,7 +324,7 @@ mod tests {
     use super::*;
     use crate::campaign::shown::command::Request;
 
-    /// An automatic resume whose next attempt is due.
+    /// An automatic resume whose next attempt is due; no test reads its count of resumes, which is leaked.
     fn due(job: &Job, waits_for: Option<String>) -> Option<Automatic<'static>> {
         let resume = Automatic::new(job, Box::leak(Box::new(1)), waits_for);
         Some(Automatic { at: Instant::now(), ..resume })
