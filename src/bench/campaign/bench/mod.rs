@@ -1,5 +1,6 @@
 //! The guarded bench: readings of its devices, trips, motion and stops.
 //! Uses: `rig`, `clock`. Never: the plan, storage, SQL; from `run` only requests and halts.
+//! Tests alone have `stand_in`, which also uses the plan and `run::job`.
 //!
 //! PURE: `interlock`, `evidence`, `stopping`, `rig_state`, `stuck`, `not_clear`.
 

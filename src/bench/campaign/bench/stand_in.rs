@@ -1,6 +1,6 @@
 //! Stand-ins for unit tests: axes, cells and a skin that obey the test, without wires or time, and a journal
 //! that takes everything.
-//! Uses: `rig::traits`, `journal`. Never: in a program.
+//! Uses: `rig::traits`, `journal`, `run::job`, the plans of `schedule::tests`. Never: in a program.
 
 use std::collections::BTreeSet;
 use std::sync::Arc;
@@ -15,6 +15,7 @@ use tokio::sync::broadcast;
 use tokio::time::Instant;
 
 use crate::campaign::bench::stage::Stage;
+use crate::campaign::run::job::Job;
 use crate::clock::Clock;
 use crate::ids::{RunUid, TrialId, TrialKey};
 use crate::journal::{Event, ExitStatus, Journal, JournalError, Mounting, Progress};
@@ -26,12 +27,26 @@ use crate::rig::error::RigError;
 use crate::rig::traits::{
     Axis, AxisStatus, Bench, CellVolts, Found, Frame, LoadCells, SkinReader, StreamCounters,
 };
+use crate::schedule::tests::{hex, planned};
 use crate::state::StateChange;
 
 /// The rig file of the stand-ins.
 pub fn config() -> RigConfig {
     let text = include_str!("../../../../experiments/rigs/virtual.toml");
     RigConfig::from_toml("virtual.toml", text).expect("the virtual rig file is sound")
+}
+
+/// A run of one tip.
+pub fn job() -> Job {
+    Job {
+        run: RunUid::new(),
+        scan_id: 1,
+        plan: planned(&hex(3, "tips = [1]\nconfigurations = 2\ndepths = 2\n")),
+        predicted_trial_s: 1.0,
+        auto_resume: true,
+        has_waited: false,
+        bytes_per_trial: 4000,
+    }
 }
 
 /// An axis that reaches each target at once.
@@ -104,9 +119,7 @@ impl StandIn {
 
     /// Waits until a motion or homing of it was started.
     pub async fn started(&self) {
-        while self.starts.load(Ordering::SeqCst) == 0 {
-            tokio::time::sleep(Duration::from_millis(1)).await;
-        }
+        until(|| self.starts.load(Ordering::SeqCst) > 0).await;
     }
 
     fn reply(&self, operation: &str) -> Result<(), RigError> {
@@ -127,6 +140,21 @@ impl StandIn {
         *self.status.lock() = self.after_start.lock().take().unwrap_or(reached);
         Ok(())
     }
+}
+
+/// The output of what must end, also on a loaded machine.
+pub async fn soon<T>(work: impl Future<Output = T>) -> T {
+    tokio::time::timeout(Duration::from_secs(60), work).await.expect("it ends in time")
+}
+
+/// Waits until this holds.
+pub async fn until(holds: impl Fn() -> bool) {
+    let wait = async {
+        while !holds() {
+            tokio::time::sleep(Duration::from_millis(1)).await;
+        }
+    };
+    soon(wait).await;
 }
 
 /// Waits for this time; does not yield if it is zero.

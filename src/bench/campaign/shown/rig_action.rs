@@ -124,9 +124,9 @@ impl RigAction {
 pub(super) mod tests {
     use super::*;
     use crate::campaign::bench::not_clear::NotClear;
+    use crate::campaign::bench::stand_in::job;
     use crate::campaign::shown::show;
     use crate::campaign::shown::status::RunStatus;
-    use crate::ids::RunUid;
     use crate::rig::setup::RigSetup;
 
     pub fn status(rig: &str, state: RigState) -> Status {
@@ -139,27 +139,8 @@ pub(super) mod tests {
     pub const SKIN: &str = include_str!("../../../../experiments/rigs/skin-only.toml");
 
     pub fn waiting(why: PausedWhy) -> RunStatus {
-        RunStatus {
-            uid: RunUid::new(),
-            scan_id: 3,
-            experiment: "e".into(),
-            is_manual: false,
-            state: StoredState::Paused,
-            requested_state: None,
-            paused_why: Some(why),
-            waits_since: None,
-            waiting_for: None,
-            wanted: None,
-            phase: Phase::Wait,
-            current_step: None,
-            trial: None,
-            trials_planned: 1,
-            trials_stored: 0,
-            trials_skipped: 0,
-            retries: 0,
-            eta: None,
-            needed_bytes: 0,
-        }
+        let (state, phase) = (StoredState::Paused, Phase::Wait);
+        RunStatus { scan_id: 3, state, paused_why: Some(why), phase, ..show::started(&job()) }
     }
 
     /// Names of the actions that are not refused.

@@ -239,8 +239,7 @@ mod tests {
     #[test]
     fn a_packet_cut_by_the_opening_is_dropped_without_blame() {
         let mut decoder = Decoder::new(4);
-        let mut bytes = frame(4, 1)[20..].to_vec();
-        bytes.extend(frame(4, 2));
+        let bytes = [&frame(4, 1)[20..], &frame(4, 2)[..]].concat();
         assert_eq!(sequences(&decode(&mut decoder, &bytes)), [2]);
         assert_eq!(decoder.tally().garbled, 0);
     }
@@ -256,11 +255,9 @@ mod tests {
     #[test]
     fn a_flipped_byte_costs_one_frame_and_the_gap_is_counted() {
         let mut decoder = Decoder::new(4);
-        let mut bytes = frame(4, 1);
         let mut hurt = frame(4, 2);
         hurt[25] ^= 0x10;
-        bytes.extend(hurt);
-        bytes.extend(frame(4, 3));
+        let bytes = [frame(4, 1), hurt, frame(4, 3)].concat();
         assert_eq!(sequences(&decode(&mut decoder, &bytes)), [1, 3]);
         let tally = decoder.tally();
         assert_eq!((tally.frames, tally.missed, tally.garbled), (2, 1, 1));
@@ -269,11 +266,9 @@ mod tests {
     #[test]
     fn a_lost_zero_costs_the_two_frames_that_it_parted() {
         let mut decoder = Decoder::new(4);
-        let mut bytes = frame(4, 1);
-        bytes.extend(frame(4, 2));
-        bytes.pop();
-        bytes.extend(frame(4, 3));
-        bytes.extend(frame(4, 4));
+        let mut second = frame(4, 2);
+        second.pop();
+        let bytes = [frame(4, 1), second, frame(4, 3), frame(4, 4)].concat();
         assert_eq!(sequences(&decode(&mut decoder, &bytes)), [1, 4]);
         assert_eq!((decoder.tally().missed, decoder.tally().garbled), (2, 1));
     }
@@ -284,8 +279,7 @@ mod tests {
         assert!(decode(&mut decoder, &[0]).is_empty());
         assert!(decode(&mut decoder, &vec![5; 100_000]).is_empty());
         assert!(decoder.packet.capacity() < 1000);
-        let mut bytes = vec![0];
-        bytes.extend(frame(4, 9));
+        let bytes = [vec![0], frame(4, 9)].concat();
         assert_eq!(sequences(&decode(&mut decoder, &bytes)), [9]);
         assert_eq!(decoder.tally().garbled, 1);
     }
@@ -314,9 +308,7 @@ mod tests {
     #[test]
     fn a_device_switched_on_again_misses_nothing() {
         let mut decoder = Decoder::new(4);
-        let mut bytes = frame(4, 5000);
-        bytes.extend(frame(4, 0));
-        bytes.extend(frame(4, 0));
+        let bytes = [frame(4, 5000), frame(4, 0), frame(4, 0)].concat();
         assert_eq!(sequences(&decode(&mut decoder, &bytes)), [5000, 0]);
         assert_eq!((decoder.tally().missed, decoder.tally().garbled), (0, 1));
     }

@@ -2,7 +2,6 @@
 //! person starts the run again.
 
 use std::sync::atomic::Ordering;
-use std::time::Duration;
 
 use tokio::sync::oneshot;
 use tokio::time::Instant;
@@ -12,6 +11,7 @@ use super::super::decide::OPERATED_WITHIN;
 use super::{answered, engine, job, latched, signs, suspensions, with_handle};
 use crate::campaign::bench::interlock::TripKind;
 use crate::campaign::bench::rig_state::{RigEvent, RigState};
+use crate::campaign::bench::stand_in::soon;
 use crate::campaign::run::run_state::RunState;
 use crate::campaign::shown::command::{Refusal, Request};
 use crate::campaign::shown::run_action;
@@ -48,8 +48,7 @@ async fn a_run_that_begins_by_itself_survives_a_wire_that_fails_for_a_moment() {
             resumed = passes => Some(resumed),
         }
     };
-    let resumed = tokio::time::timeout(Duration::from_secs(60), resumed).await;
-    let resumed = resumed.expect("it resumes").expect("the run stays active");
+    let resumed = soon(resumed).await.expect("the run stays active");
     assert_eq!((resumed.rig.trip, resumed.attended.signs), (None, 0), "the queue waits behind it");
     assert!(axes.z.starts.load(Ordering::SeqCst) > starts, "the rig was homed before");
 }
@@ -74,8 +73,7 @@ async fn a_wire_that_fails_as_a_run_is_armed_begins_nothing_if_a_person_may_be_a
             _ => {}
         }
         let (answer, begun) = oneshot::channel();
-        let started = engine.start(&job, answer, 0);
-        tokio::time::timeout(Duration::from_secs(20), started).await.expect("nothing begins");
+        soon(engine.start(&job, answer, 0)).await;
         let is_refused = match begun.await {
             Ok(Err(Refusal::Fault(kind, _))) => case != "locked" && kind == TripKind::Wire,
             Ok(Err(Refusal::Busy(_))) => case == "locked",

@@ -3,7 +3,6 @@
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::time::Duration;
 
 use async_trait::async_trait;
 use tokio::sync::broadcast;
@@ -12,7 +11,7 @@ use tokio::time::Instant;
 use super::super::Attempts;
 use super::{begin, engine, job, parts, surface, suspensions, tripped, with_handle};
 use crate::campaign::bench::interlock::TripKind;
-use crate::campaign::bench::stand_in::frame;
+use crate::campaign::bench::stand_in::{frame, soon};
 use crate::campaign::run::control::Control;
 use crate::campaign::run::eta::Pace;
 use crate::campaign::run::halt::Halt;
@@ -121,8 +120,7 @@ async fn a_pause_of_a_placement_does_not_wait_for_its_frames() {
         handle.ask(Request::PauseNow).await
     };
     let both = async { tokio::join!(placed(late, &mut engine.control, &job), pause) };
-    let both = tokio::time::timeout(Duration::from_secs(30), both).await;
-    let (measured, paused) = both.expect("it ends");
+    let (measured, paused) = soon(both).await;
     assert!(matches!(measured, Err(Halt::Asked)) && paused.is_ok(), "{measured:?} {paused:?}");
     assert_eq!(engine.control.run(), RunState::Suspending(PausedWhy::Operator));
 }

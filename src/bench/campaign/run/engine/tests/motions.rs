@@ -9,7 +9,7 @@ use super::{answered, engine, latched, parts, signs, suspensions, tripped, with_
 use crate::campaign::bench::interlock::TripKind;
 use crate::campaign::bench::rig_state::RigState;
 use crate::campaign::bench::stage::{AxisName, Height};
-use crate::campaign::bench::stand_in::StandIn;
+use crate::campaign::bench::stand_in::{StandIn, soon, until};
 use crate::campaign::bench::tare::{Accept, tare_on_request, tare_untouched};
 use crate::campaign::bench::travel::Target;
 use crate::campaign::run::halt::Halt;
@@ -60,17 +60,14 @@ async fn an_abort_during_a_raise_is_accepted_at_once_and_ends_the_motion_once_z_
     let mut status = handle.watch_status();
     let jog = async {
         handle.ask(Request::Jog { axis: "x".into(), to_mm: 100.0 }).await.unwrap();
-        while starts(&axes.z) == z_starts {
-            tokio::time::sleep(Duration::from_millis(1)).await;
-        }
+        until(|| starts(&axes.z) > z_starts).await;
         let aborted = handle.ask(Request::AbortMotion).await;
         let stops = axes.stops();
         *axes.z.status.lock() = AxisStatus { position: 40.0, ..down };
         drop(status.wait_for(|status| status.rig.safe_end.is_some()).await.unwrap());
         (aborted, stops)
     };
-    let jog = tokio::time::timeout(Duration::from_secs(30), jog);
-    let (aborted, stops) = answered(&mut engine, jog).await.expect("it ends");
+    let (aborted, stops) = answered(&mut engine, soon(jog)).await;
     assert_eq!((aborted, stops), (Ok(()), 0), "accepted while z rises, which no stop ends");
     assert_eq!(starts(&axes.x), x_starts);
     assert_eq!(latched(&engine), None);
@@ -152,16 +149,14 @@ async fn an_abort_during_a_tare_waits_for_no_frame() {
     // While the cells are read, and once only the frames are awaited.
     for samples in [100, 1] {
         let (axes, mut engine, handle) = with_handle();
-        *axes.skin.takes.lock() = Duration::from_secs(60);
+        *axes.skin.takes.lock() = Duration::from_secs(600);
         let (stage, control) = parts(&mut engine);
         let tare = tare_untouched(stage, control, samples, Accept::AnyZero);
         let abort = async {
             tokio::time::sleep(Duration::from_millis(300)).await;
             handle.ask(Request::AbortMotion).await
         };
-        let both = async { tokio::join!(tare, abort) };
-        let both = tokio::time::timeout(Duration::from_secs(30), both).await;
-        let (tared, aborted) = both.expect("it ends");
+        let (tared, aborted) = soon(async { tokio::join!(tare, abort) }).await;
         assert!(matches!(tared, Err(Halt::Asked)) && aborted.is_ok(), "{tared:?}");
     }
 }
@@ -227,14 +222,10 @@ async fn a_tare_on_request_keeps_the_last_zeros_if_z_sinks_meanwhile() {
     let before_v = stage.tare_v;
     let tare = tare_on_request(stage, control, None, 4);
     let sinks = async {
-        while axes.cells.readings.load(Ordering::SeqCst) == 0 {
-            tokio::time::sleep(Duration::from_millis(1)).await;
-        }
+        until(|| axes.cells.readings.load(Ordering::SeqCst) > 0).await;
         axes.z.status.lock().position = 60.0;
     };
-    let both = async { tokio::join!(tare, sinks) };
-    let both = tokio::time::timeout(Duration::from_secs(30), both).await;
-    let (tared, ()) = both.expect("it ends");
+    let (tared, ()) = soon(async { tokio::join!(tare, sinks) }).await;
     let Err(Halt::Failed(words)) = &tared else { panic!("{tared:?}") };
     assert!(words.starts_with("tare is not possible: z at 60.000 mm, limit "), "{words}");
     assert_eq!(stage.tare_v, before_v);

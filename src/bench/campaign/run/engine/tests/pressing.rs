@@ -13,7 +13,7 @@ use crate::campaign::bench::descent::Descent;
 use crate::campaign::bench::interlock::TripKind;
 use crate::campaign::bench::rig_state::RigEvent;
 use crate::campaign::bench::stage::{AxisName, Stage};
-use crate::campaign::bench::stand_in::{StandIn, StandIns};
+use crate::campaign::bench::stand_in::{StandIn, StandIns, soon, until};
 use crate::campaign::bench::touch_off;
 use crate::campaign::bench::travel::{Target, predicted_s};
 use crate::campaign::run::control::Control;
@@ -29,9 +29,7 @@ const HAPPENS_WITHIN: Duration = Duration::from_secs(30);
 
 /// Waits until z has received this number of stops.
 async fn stopped(axes: &StandIns, stops: u64) {
-    while axes.z.stops.load(Ordering::SeqCst) < stops {
-        tokio::time::sleep(Duration::from_millis(1)).await;
-    }
+    until(|| axes.z.stops.load(Ordering::SeqCst) >= stops).await;
 }
 
 /// The stage and the control of an engine whose samples do not count as stale within a test.
@@ -297,8 +295,7 @@ async fn disturbed_at(
         change(&mut axis(&axes).status.lock());
     };
     // In this order: it changes before z moves on.
-    let both = async { futures::join!(disturb, press) };
-    let ((), pressed) = tokio::time::timeout(HAPPENS_WITHIN, both).await.expect("it trips");
+    let ((), pressed) = soon(async { futures::join!(disturb, press) }).await;
     let halt = pressed.unwrap_err();
     let trip = halt.as_trip().expect("a trip");
     assert!(trip.detail.starts_with(begins), "{}", trip.detail);
@@ -350,8 +347,7 @@ async fn no_place_is_touched_that_an_axis_has_left_during_the_tare() {
         axes.x.started().await;
         axes.x.status.lock().position += 1.0;
     };
-    let both = async { futures::join!(leave, touches) };
-    let ((), touched) = tokio::time::timeout(HAPPENS_WITHIN, both).await.expect("it trips");
+    let ((), touched) = soon(async { futures::join!(leave, touches) }).await;
     let detail = tripped(touched, TripKind::Position);
     assert!(detail.starts_with("x measured at "), "{detail}");
     assert_eq!(axes.z.starts.load(Ordering::SeqCst), 1, "it was raised only");
@@ -372,8 +368,7 @@ async fn no_height_is_kept_of_a_place_that_an_axis_has_left_during_the_touch() {
         stopped(&axes, 1).await;
         axes.x.status.lock().position += 1.0;
     };
-    let both = async { futures::join!(leave, touches) };
-    let ((), touched) = tokio::time::timeout(HAPPENS_WITHIN, both).await.expect("it trips");
+    let ((), touched) = soon(async { futures::join!(leave, touches) }).await;
     let detail = tripped(touched, TripKind::Position);
     assert!(detail.starts_with("x measured at "), "{detail}");
 }
