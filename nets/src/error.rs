@@ -5,10 +5,8 @@
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[allow(missing_docs, reason = "the message names the fields")]
 pub enum RecipeError {
-    /// The text is not TOML, or does not have these fields.
     #[error("recipe: {0}")]
     Text(#[from] toml::de::Error),
-    /// A value is outside its limits.
     #[error("recipe: {field} is {found}, must be {limit}")]
     Value { field: &'static str, found: String, limit: &'static str },
 }
@@ -30,26 +28,17 @@ pub fn require(
 /// Result of reading samples.
 pub type SamplesResult<T> = Result<T, SamplesError>;
 
-/// Why samples could not be read.
+/// Why samples could not be read; samples and their numbers count from 0, a side is `input` or `target`.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[allow(missing_docs, reason = "the message names the fields")]
 pub enum SamplesError {
-    /// The source failed.
     #[error("samples: {message}")]
     Source { message: String },
-    /// A value is not finite.
     #[error(
         "sample {sample}: {side} number {number} is not finite; the condition missing_channels=0 excludes rows that lack \
          a channel"
     )]
-    NotFinite {
-        /// Number of the sample, from 0.
-        sample: u64,
-        /// `"input"` or `"target"`.
-        side: &'static str,
-        /// Index of the value in the input or target.
-        number: usize,
-    },
+    NotFinite { sample: u64, side: &'static str, number: usize },
 }
 
 /// Why bytes are not a checkpoint of this training.
@@ -58,46 +47,32 @@ pub enum CheckpointError {
     /// Damaged, or not a checkpoint of this version.
     #[error("checkpoint: {0}")]
     Bytes(&'static str),
-    /// A checkpoint of another training.
+    /// A checkpoint of another training: each field that differs, with both values.
     #[error("checkpoint: of another training: {}", .0.join("; "))]
-    Other(
-        /// Each field that differs, with both values.
-        Vec<String>,
-    ),
+    Other(Vec<String>),
 }
 
-/// Why a training failed.
+/// Why a training failed; epochs and batches count from 0.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[allow(missing_docs, reason = "the message names the fields")]
 pub enum TrainError {
-    /// The recipe is invalid, also for these data.
     #[error(transparent)]
     Recipe(#[from] RecipeError),
-    /// The data cannot be read, or a value is not finite.
     #[error(transparent)]
     Samples(#[from] SamplesError),
-    /// The checkpoint is not one of this training.
     #[error(transparent)]
     Checkpoint(#[from] CheckpointError),
-    /// The loss is not finite.
     #[error(
         "training: the loss is not finite in epoch {epoch}, batch {batch}: a smaller \
              learning rate may help"
     )]
-    Diverged {
-        /// Number of the epoch, from 0.
-        epoch: u32,
-        /// Number of the batch, from 0.
-        batch: u64,
-    },
-    /// A closed-form fit has no solution.
+    Diverged { epoch: u32, batch: u64 },
     #[error("training: the fit has no solution: its rows are all alike, or have no finite numbers")]
     Singular,
-    /// The trainer was not built for a device.
     #[error(
         "training: the trainer was not built for {0}: `cargo install --path trainer --features {0}`"
     )]
     Device(&'static str),
-    /// The threads could not be started.
     #[error("training: its threads could not be started: {0}")]
     Threads(String),
 }

@@ -5,7 +5,6 @@
 //! matters little. Prints Markdown.
 
 use std::error::Error;
-use std::fmt::Write as _;
 use std::hint::black_box;
 use std::process::Command;
 use std::sync::Arc;
@@ -26,6 +25,7 @@ use sim_core::forward::{Contact, ForwardModel, Workspace};
 use sim_core::network::SheetNetwork;
 use sim_core::responses::UnitResponses;
 use sim_core::sensor::Sensor;
+use sim_core::spice::{LoadedCircuit, netlist};
 
 /// Contacts per trial.
 const COUNTS: [usize; 3] = [1, 3, 6];
@@ -257,7 +257,9 @@ fn ngspice_us(
     let mut us = [0.0; 3];
     for (us, trials) in us.iter_mut().zip(trials) {
         model.voltages(&trials[0], work)?;
-        std::fs::write(&path, netlist(network, work.to_top_s())?)?;
+        let (circuit, to_top_s) = (model.circuit(), work.to_top_s());
+        let skin = LoadedCircuit { title: "one injection", network, circuit, to_top_s };
+        std::fs::write(&path, netlist(&skin, 0)?)?;
         *us = 28.0
             * least_us(2, || {
                 let run = Command::new("ngspice").arg("-b").arg(&path).output();
@@ -266,18 +268,4 @@ fn ngspice_us(
     }
     std::fs::remove_file(&path)?;
     Ok(Some(us))
-}
-
-fn netlist(network: &SheetNetwork, to_top_s: &[f64]) -> Result<String, std::fmt::Error> {
-    let mut text = String::from("* one injection\n.options gmin=1e-30\nV1 top 0 12\n");
-    let sink = network.electrodes[0];
-    let name = |node: u32| if node == sink { "0".into() } else { format!("n{node}") };
-    for (i, r) in network.resistors.iter().enumerate() {
-        writeln!(text, "R{i} {} {} {:e}", name(r.a), name(r.b), 1.0 / r.conductance_s)?;
-    }
-    for (i, g) in to_top_s.iter().enumerate() {
-        writeln!(text, "Rf{i} top {} {:e}", name(i as u32), 1.0 / g)?;
-    }
-    writeln!(text, ".control\nrun\nprint v(n{})\nquit\n.endc\n.op\n.end", network.electrodes[1])?;
-    Ok(text)
 }

@@ -21,20 +21,15 @@ pub struct LutGrid {
     pub end_mm: f64,
 }
 
-/// Why a displacement table is invalid.
+/// Why a displacement table is invalid; samples count from 0.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[allow(missing_docs, reason = "the message names the fields")]
 pub enum LutError {
-    /// The step is not positive, or there are fewer than two samples.
     #[error("displacement table: needs a positive step and at least two samples")]
     TooShort,
     /// A sample is not finite or below the one before it, or the first is not zero.
     #[error("displacement table: sample {index} = {value_mm} mm breaks the rise from zero")]
-    NotRising {
-        /// Index of the sample, from 0.
-        index: usize,
-        /// Value of the sample, mm.
-        value_mm: f64,
-    },
+    NotRising { index: usize, value_mm: f64 },
 }
 
 impl DisplacementLut {

@@ -37,20 +37,16 @@ pub struct Contact {
 
 /// Why a forward model cannot be built.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs, reason = "the message names the fields")]
 pub enum ModelError {
-    /// The mesh does not fit the sensor.
     #[error(transparent)]
     Mesh(#[from] MeshError),
-    /// The unit responses are those of another sensor.
     #[error("forward model: the unit responses belong to another sensor")]
     OtherResponses,
-    /// The foam's law of a calibrated skin decreases.
     #[error(transparent)]
     Foam(#[from] LutError),
-    /// The length of a field does not match the mesh.
     #[error(transparent)]
     Fields(#[from] FieldLength),
-    /// An electrode is invalid.
     #[error(transparent)]
     Electrode(#[from] ElectrodeError),
 }
@@ -58,34 +54,18 @@ pub enum ModelError {
 /// Result of work with contacts.
 pub type ContactResult<T> = Result<T, ContactError>;
 
-/// Why the model rejects a contact.
+/// Why the model rejects a contact; contacts count from 0.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
+#[allow(missing_docs, reason = "the message names the fields")]
 pub enum ContactError {
-    /// The tip would not be wholly on the skin.
+    /// `field`: `x_mm` or `y_mm`; `least_mm`: a tip's radius.
     #[error(
         "contact {contact}: {field} = {value_mm} is outside {least_mm} to {most_mm} mm: \
          a tip must be wholly on the skin"
     )]
-    OffSkin {
-        /// Index of the contact, from 0.
-        contact: usize,
-        /// Coordinate outside its range: `x_mm` or `y_mm`.
-        field: &'static str,
-        /// Value of the coordinate, mm.
-        value_mm: f64,
-        /// Smallest legal value, mm: a tip's radius.
-        least_mm: f64,
-        /// Largest legal value, mm.
-        most_mm: f64,
-    },
-    /// The force is negative or not finite.
+    OffSkin { contact: usize, field: &'static str, value_mm: f64, least_mm: f64, most_mm: f64 },
     #[error("contact {contact}: force_n = {force_n} is not a finite number >= 0 N")]
-    Force {
-        /// Index of the contact, from 0.
-        contact: usize,
-        /// Force of the contact, N.
-        force_n: f64,
-    },
+    Force { contact: usize, force_n: f64 },
 }
 
 /// The forward model of one skin. `Send + Sync`; each thread needs its own [`Workspace`].

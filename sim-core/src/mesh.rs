@@ -11,27 +11,14 @@ use std::collections::HashMap;
 
 use crate::sensor::{Layer, Sensor};
 
-/// Why a sensor file has no mesh.
+/// Why a sensor file has no mesh; points and the vertices of their hexagons count from 0.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[allow(missing_docs, reason = "the message names the fields")]
 pub enum MeshError {
-    /// A point's centre is not a six-valent node.
     #[error("meshing: point {point} at ({x_mm:.3}, {y_mm:.3}) mm is not a six-valent node")]
-    PointOffNode {
-        /// Index of the point, from 0.
-        point: usize,
-        /// Position of the point along x, mm.
-        x_mm: f64,
-        /// Position of the point along y, mm.
-        y_mm: f64,
-    },
-    /// A vertex of a point's hexagon is not a node.
+    PointOffNode { point: usize, x_mm: f64, y_mm: f64 },
     #[error("meshing: vertex {vertex} of point {point} is not on the skin")]
-    VertexOffSkin {
-        /// Index of the point, from 0.
-        point: usize,
-        /// Index of the hexagon's vertex, 0 to 5.
-        vertex: usize,
-    },
+    VertexOffSkin { point: usize, vertex: usize },
 }
 
 /// A contact point on the mesh.

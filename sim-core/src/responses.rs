@@ -21,13 +21,10 @@ const CACHE_MAGIC: &[u8; 8] = b"palp-ur2";
 #[derive(Debug, thiserror::Error)]
 #[allow(missing_docs, reason = "the message names the fields")]
 pub enum ResponsesError {
-    /// The mesh does not fit the sensor.
     #[error(transparent)]
     Mesh(#[from] MeshError),
-    /// The elastic solve failed.
     #[error(transparent)]
     Solve(#[from] SolveError),
-    /// The bytes are not those of a cache, or are damaged.
     #[error("reading cached unit responses: {0}")]
     Damaged(Damage),
     /// A cache belongs to another sensor, mesh or element.
@@ -37,14 +34,12 @@ pub enum ResponsesError {
 
 /// Damage of a cache's bytes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+#[allow(missing_docs, reason = "the message names the fields")]
 pub enum Damage {
-    /// The first bytes are not those of a cache.
     #[error("not a cache of unit responses")]
     Magic,
-    /// The length does not match the header.
     #[error("wrong length")]
     Length,
-    /// The checksum does not match the content.
     #[error("wrong checksum")]
     Checksum,
 }

@@ -14,7 +14,6 @@ pub enum SensorError {
     /// The text is not TOML, or has a key or a type that a sensor file does not have.
     #[error("{0}")]
     Syntax(String),
-    /// A value is outside its limits.
     #[error("{key} = {value}: {limit}")]
     Value { key: String, value: String, limit: String },
 }

@@ -364,11 +364,8 @@ impl SkinCalibration {
             }
         }
         if let Some(wrong) = e.contact_ohm.iter().find(|v| **v == 0.0) {
-            return Err(bad(
-                "electrodes.contact_ohm",
-                wrong,
-                "must be above 0: not every place has a node",
-            ));
+            let limit = "must be above 0: not every place has a node";
+            return Err(bad("electrodes.contact_ohm", wrong, limit));
         }
         let channels = e.x_mm.len() * e.x_mm.len();
         if !self.offsets_mv.is_empty() && self.offsets_mv.len() != channels {

@@ -22,17 +22,15 @@ use faer::{Accum, Conj, MatMut, MatRef, Par, Side, Spec};
 
 /// Why the elastic solve failed.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs, reason = "the message names the fields")]
 pub enum SolveError {
-    /// The matrix could not be built.
     #[error("assembling the stiffness matrix: {0:?}")]
     Assemble(CreationError),
-    /// The factor's structure could not be found.
     #[error("analysing the stiffness matrix: {0:?}")]
     Analyse(FaerError),
     /// The matrix is not positive definite: a material or a brick is invalid.
     #[error("factorising the stiffness matrix: {0:?}")]
     Factorise(LltError),
-    /// Not enough memory for the factor.
     #[error("factorising the stiffness matrix: out of memory")]
     Memory,
 }

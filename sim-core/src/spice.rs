@@ -28,13 +28,10 @@ pub struct LoadedCircuit<'a> {
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 #[allow(missing_docs, reason = "the message names the fields")]
 pub enum SpiceError {
-    /// There is no electrode with this index.
     #[error("netlist: sink = {sink}: must be from 0 to {last}")]
     Sink { sink: usize, last: usize },
-    /// The number of the foam's conductances is not that of the network's nodes.
     #[error("netlist: {found} foam conductances for {needed} nodes")]
     Nodes { found: usize, needed: usize },
-    /// A foam conductance is negative or not finite.
     #[error("netlist: foam conductance at node {node} = {conductance_s} S: must be a number >= 0")]
     Conductance { node: usize, conductance_s: f64 },
 }

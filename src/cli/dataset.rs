@@ -10,7 +10,7 @@ use serde_json::{Value, json};
 use super::client::{Client, text_of};
 use super::download::DATASET_WAIT;
 use super::embed::Purpose::{Computes, Reads, Stores};
-use super::error::CliResult;
+use super::error::{CliError, CliResult};
 use super::export::{self, ExportArgs};
 use super::federate::{FederateArgs, federate};
 use super::files::read_as;
@@ -250,20 +250,37 @@ async fn make(client: &Client, args: &MakeArgs) -> CliResult<()> {
 async fn make_each(client: &Client, args: &MakeArgs) -> CliResult<()> {
     let file = args.what.display().to_string();
     let definition: Definition = parse_toml(&file, &read_as(FileKind::Dataset, &args.what)?)?;
+    let definitions = definition.each_run_left_out(&file)?;
+    let names: Vec<&str> = definitions.iter().map(|one| one.name.as_str()).collect();
+    let datasets = names.join(" --dataset ");
     let (mut items, mut words) = (Vec::new(), Vec::new());
-    for definition in definition.each_run_left_out(&file)? {
-        let row = made(client, &json!({ "definition": definition, "file": file })).await?;
+    for definition in &definitions {
+        let body = json!({ "definition": definition, "file": file });
+        let row = match made(client, &body).await {
+            Ok(row) => row,
+            Err(error) => return Err(after(&items, &definition.name, error)),
+        };
         words.push(described(&row, client.lasting_url()));
         items.push(row);
     }
     args.at.output().say(&json!({ "items": items }), words.join("\n\n"));
     Next::of(&args.at)
         .suggest(
-            format_args!("palpate evaluate quantity force --dataset {}-RUN", definition.name),
-            "trains nets without the run, and scores them on it",
+            format_args!("palpate evaluate quantity force --dataset {datasets}"),
+            "trains nets without each run, and scores them on it",
         )
         .say();
     Ok(())
+}
+
+/// The error of a dataset, with those that were made before it from the same file.
+fn after(made: &[Value], name: &str, error: CliError) -> CliError {
+    if made.is_empty() {
+        return error;
+    }
+    let named = |row: &Value| format!("{} {}", text_of(&row["name"]), text_of(&row["id"]));
+    let made: Vec<String> = made.iter().map(named).collect();
+    CliError::NotAllMade { name: name.into(), made, error: Box::new(error) }
 }
 
 /// The dataset that the service has made as requested.

@@ -127,6 +127,9 @@ pub enum CliError {
     /// Sim-Random's shards could not be made.
     #[error(transparent)]
     SimRandom(#[from] RandomError),
+    /// One of several datasets could not be made, after others.
+    #[error("{name} was not made: {error}\nmade before it: {}", made.join(", "))]
+    NotAllMade { name: String, made: Vec<String>, error: Box<CliError> },
     #[error("{} of {all} rigs did not answer with a dataset: {}", missed.len(), missed.join(", "))]
     Missed { missed: Vec<String>, all: usize },
     /// The folder of a work order could not be used, or chunks could not be made or gathered.

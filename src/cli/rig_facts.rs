@@ -168,7 +168,7 @@ pub async fn untouched(client: &Client, output: Output) -> CliResult<()> {
 }
 
 fn untouched_words(frame: &Untouched) -> String {
-    let Untouched { voltages_v, at, frames, run } = frame;
+    let Untouched { voltages_v, at, frames, run, .. } = frame;
     let voltages_v: Vec<f64> = voltages_v.iter().copied().map(f64::from).collect();
     let channels = voltages_v.len();
     let run = run.map_or_else(String::new, |run| format!(", run {run}"));
@@ -236,6 +236,7 @@ mod tests {
             at: Timestamp::UNIX_EPOCH,
             frames: 25,
             run: None,
+            stream_since: None,
         };
         let words = untouched_words(&frame);
         assert!(words.contains("mean of 25 frames of 2 channels"), "{words}");

@@ -279,6 +279,10 @@ pub struct Untouched {
     pub frames: usize,
     /// Run during which they were taken; null outside a run.
     pub run: Option<RunUid>,
+    /// Wall time since which the stream was open and its device had not restarted; none if it is not known. For the
+    /// store, not for clients.
+    #[serde(skip)]
+    pub stream_since: Option<Timestamp>,
 }
 
 /// Zeros of the cells, measured before a configuration.

@@ -9,6 +9,7 @@
 
 mod attacks;
 mod web_words;
+mod calibrate_skin;
 mod calibration;
 #[path = "../common/mod.rs"]
 mod common;

@@ -15,25 +15,12 @@ pub const ARMS: usize = 6;
 #[derive(Debug, thiserror::Error)]
 #[allow(missing_docs, reason = "the message names the fields")]
 pub enum ConfigError {
-    /// The text is not TOML or lacks a key.
     #[error("rig file: {0}")]
     Syntax(#[from] toml::de::Error),
-    /// A device names a wire that the file does not have.
     #[error("{device}.line = {line}: must be one of [lines]")]
     UnknownLine { device: String, line: String },
-    /// Two devices have the same address on one wire.
     #[error("{first} and {second} share unit {unit} on line {line}")]
-    SharedUnit {
-        /// Key of the first device.
-        first: String,
-        /// Key of the second device.
-        second: String,
-        /// Name of their wire.
-        line: String,
-        /// Modbus address that they share.
-        unit: u8,
-    },
-    /// A value is outside its limits.
+    SharedUnit { first: String, second: String, line: String, unit: u8 },
     #[error("{key} = {value}: {limit}")]
     Value { key: String, value: String, limit: &'static str },
 }
@@ -347,16 +334,13 @@ mod tests {
     }
 
     #[test]
-    fn two_devices_at_one_address_are_refused() {
-        let text = VIRTUAL.replacen("unit = 2", "unit = 1", 1);
-        let error = RigFile::from_toml(&text).unwrap_err().to_string();
-        assert_eq!(error, "axes.x and axes.y share unit 1 on line stage");
-    }
-
-    #[test]
-    fn a_missing_line_is_named() {
-        let text = VIRTUAL.replacen("line = \"cells\"", "line = \"celsl\"", 1);
-        let error = RigFile::from_toml(&text).unwrap_err().to_string();
-        assert_eq!(error, "cells.line = celsl: must be one of [lines]");
+    fn two_devices_at_one_address_and_a_missing_line_are_refused() {
+        for (from, to, words) in [
+            ("unit = 2", "unit = 1", "axes.x and axes.y share unit 1 on line stage"),
+            ("\"cells\"", "\"celsl\"", "cells.line = celsl: must be one of [lines]"),
+        ] {
+            let error = RigFile::from_toml(&VIRTUAL.replacen(from, to, 1)).unwrap_err();
+            assert_eq!(error.to_string(), words);
+        }
     }
 }

@@ -16,7 +16,6 @@ const MISTAKE_MM: f64 = 60.0;
 #[derive(Debug, thiserror::Error)]
 #[allow(missing_docs, reason = "the message names the fields")]
 pub enum HandError {
-    /// The probability of mistakes is invalid, or no sensor file names the points.
     #[error("--mistakes {0}: must be from 0 to 1, with --sensor FILE")]
     Mistakes(f64),
     /// The sensor file cannot be read.

@@ -86,46 +86,33 @@ pub struct RigOptions {
 #[derive(Debug, thiserror::Error)]
 #[allow(missing_docs, reason = "the message names the fields")]
 pub enum RunError {
-    /// A file could not be read or written.
     #[error("{path}: {source}", path = path.display())]
     File { path: PathBuf, source: io::Error },
-    /// The rig file is not valid.
     #[error("{path}: {source}", path = path.display())]
     Rig { path: PathBuf, source: ConfigError },
-    /// The sensor file is not valid.
     #[error("{path}: {source}", path = path.display())]
     Sensor { path: PathBuf, source: SensorError },
-    /// The gap file is not valid.
     #[error("{path}: {source}", path = path.display())]
     Gap { path: PathBuf, source: GapError },
-    /// The skin could not be built.
     #[error("skin: {0}")]
     Skin(#[from] SkinError),
-    /// The fault script is not valid.
     #[error("{path}: {source}", path = path.display())]
     Fault { path: PathBuf, source: FaultError },
-    /// The readout of the rig and the sensor have different numbers of electrodes.
     #[error("ert.electrodes = {rig}: the sensor has {sensor}")]
     Electrodes { rig: u16, sensor: usize },
-    /// The speed is not a positive number.
     #[error("--speed {0}: must be a positive number")]
     Speed(f64),
-    /// A TCP wire could not be opened.
     #[error("listening at {address}: {source}")]
     Listen { address: String, source: io::Error },
-    /// A pseudo-terminal could not be opened.
     #[error("pseudo-terminal: {0}")]
     Pty(#[from] tokio_serial::Error),
-    /// The configured serial path exists and is not a link to a pseudo-terminal.
     #[error("{0}: exists and is not a link to a pseudo-terminal; use --ephemeral")]
     Occupied(PathBuf),
-    /// The rig file with the served addresses could not be written as TOML.
     #[error("served rig file: {0}")]
     Served(#[from] toml::ser::Error),
     /// A thread or the runtime could not be started.
     #[error("starting: {0}")]
     Start(#[source] io::Error),
-    /// Signal handlers could not be installed.
     #[error("signals: {0}")]
     Signals(#[source] io::Error),
 }

@@ -5,7 +5,7 @@
 use std::collections::VecDeque;
 use std::io;
 use std::sync::Arc;
-use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, TryRecvError, sync_channel};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
 use std::thread;
 use std::time::Duration;
 
@@ -78,22 +78,13 @@ fn remember(known: &Known, load: Arc<Load>, solved: Solved) {
 
 fn work(skin: &AnySkin, inbox: &Receiver<Arc<Load>>, known: &Known) {
     loop {
-        let mut load = match inbox.recv_timeout(PATIENCE) {
+        let load = match inbox.recv_timeout(PATIENCE) {
             Ok(load) => load,
             Err(RecvTimeoutError::Timeout) => continue,
             Err(RecvTimeoutError::Disconnected) => return,
         };
-        loop {
-            match inbox.try_recv() {
-                Ok(newer) => load = newer,
-                Err(TryRecvError::Empty) => break,
-                Err(TryRecvError::Disconnected) => return,
-            }
-        }
-        let have = {
-            let known = known.lock();
-            known.iter().any(|(l, _)| *l == load)
-        };
+        let load = inbox.try_iter().last().unwrap_or(load);
+        let have = known.lock().iter().any(|(l, _)| *l == load);
         if !have {
             match skin.solve(&load.tips) {
                 Ok(solved) => remember(known, load, Arc::new(solved)),

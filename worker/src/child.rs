@@ -81,37 +81,45 @@ impl Maker {
         Self { program, threads, limit, running: None }
     }
 
-    /// Has the program make a chunk of the order in `folder`.
+    /// Has the program make a chunk of the order in `folder`. If the future is dropped, the program still makes the
+    /// chunk: `kill` must follow.
     ///
     /// # Errors
     /// `MakeError::Machine` if the program cannot be started, or refuses its options; `Refused` if it refuses the
     /// order; `Chunk` otherwise.
     pub async fn make(&mut self, folder: &Path, index: u64) -> Result<Done, MakeError> {
-        let mut running = match self.running.take() {
+        let running = match self.running.take() {
             Some(running) => running,
             None => self.start()?,
         };
+        // It stays here meanwhile, where `kill` finds it.
+        let running = self.running.insert(running);
         let line = match timeout(self.limit, running.ask(folder, index)).await {
             Ok(Ok(line)) => line,
-            Ok(Err(error)) => return Err(running.died(&error).await),
+            Ok(Err(error)) => {
+                let died = running.died(&error).await;
+                self.running = None;
+                return Err(died);
+            }
             Err(_) => {
-                drop(running.child.kill().await);
+                self.kill().await;
                 let seconds = self.limit.as_secs();
                 return Err(MakeError::Chunk(format!(
                     "no answer within {seconds} s: killed; --limit-s may be larger"
                 )));
             }
         };
-        let answer = serde_json::from_str(&line).map_err(|error| {
-            MakeError::Chunk(format!("unknown answer {}: {error}", clipped(&line)))
-        });
-        match answer? {
-            Answer::Done(done) => {
-                self.running = Some(running);
-                Ok(done)
+        let answer = match serde_json::from_str::<Answer>(&line) {
+            Ok(answer) => answer,
+            Err(error) => {
+                self.kill().await;
+                let text = format!("unknown answer {}: {error}", clipped(&line));
+                return Err(MakeError::Chunk(text));
             }
+        };
+        match answer {
+            Answer::Done(done) => Ok(done),
             Answer::Failed { error, machine } => {
-                self.running = Some(running);
                 Err(if machine { MakeError::Refused(error) } else { MakeError::Chunk(error) })
             }
         }
@@ -147,6 +155,14 @@ impl Maker {
         drop(input);
         if timeout(END, child.wait()).await.is_err() {
             drop(child.kill().await);
+        }
+    }
+
+    /// Kills the program, and waits until it has ended: afterwards it writes no file.
+    pub async fn kill(&mut self) {
+        let Some(Running { mut child, .. }) = self.running.take() else { return };
+        if timeout(END, child.kill()).await.is_err() {
+            tracing::warn!("the program still runs, although it was killed");
         }
     }
 }

@@ -106,13 +106,12 @@ impl Bench {
                 MakeError::Refused(format!("{id}/{ORDER_FILE}: {what}"))
             })?;
             let folder = self.scratch.join(id);
-            let written = async {
-                fs::create_dir_all(&folder).await?;
-                fs::write(folder.join(ORDER_FILE), &text).await
+            let failed = |error: std::io::Error| {
+                MakeError::Machine(format!("{}: {error}", folder.display()))
             };
-            written
-                .await
-                .map_err(|error| MakeError::Machine(format!("{}: {error}", folder.display())))?;
+            // Not by another thread, which could make it again after that of the worker was removed.
+            std::fs::create_dir_all(&folder).map_err(failed)?;
+            fs::write(folder.join(ORDER_FILE), &text).await.map_err(failed)?;
             if self.orders.len() >= ORDERS_KEPT
                 && let Some((old, _)) = self.orders.pop_first()
             {
@@ -127,6 +126,11 @@ impl Bench {
     /// Ends the program.
     pub async fn end(&mut self) {
         self.maker.end().await;
+    }
+
+    /// Kills the program, and waits until it has ended.
+    pub async fn kill(&mut self) {
+        self.maker.kill().await;
     }
 }
 

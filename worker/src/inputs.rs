@@ -1,5 +1,5 @@
 //! Files that orders name by their sha256, such as datasets: a worker fetches each once, for all of its slots.
-//! Uses: `store`, tokio's files. Never: a file that was not compared with its hash.
+//! Uses: `store`, files of std and tokio. Never: a file that was not compared with its hash.
 
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
@@ -36,7 +36,8 @@ impl Inputs {
             let folder = self.0.lock().await;
             let here = folder.join(sha256);
             if !fs::try_exists(&here).await.map_err(WorkerError::file(&here))? {
-                fs::create_dir_all(&*folder).await.map_err(WorkerError::file(&*folder))?;
+                // Not by another thread, which could make it again after that of the worker was removed.
+                std::fs::create_dir_all(&*folder).map_err(WorkerError::file(&*folder))?;
                 let partial = here.with_extension("partial");
                 if let Err(error) = store.fetch_input(sha256, &partial).await {
                     // On a full disk, its space is that of the results.
@@ -45,7 +46,7 @@ impl Inputs {
                 }
                 fs::rename(&partial, &here).await.map_err(WorkerError::file(&here))?;
             }
-            fs::create_dir_all(&into).await.map_err(WorkerError::file(&into))?;
+            std::fs::create_dir_all(&into).map_err(WorkerError::file(&into))?;
             fs::hard_link(&here, &there).await.map_err(WorkerError::file(&there))?;
         }
         Ok(())

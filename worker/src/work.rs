@@ -1,6 +1,7 @@
 //! A worker: takes chunks, makes them and acknowledges them until it is requested to end.
 //! Uses: `queue`, `chunk`, `pause`, `scratch`, tokio's signals. Never: a chunk acknowledged before its result is in the
-//! store; another chunk after SIGTERM or after its terminal was closed.
+//! store; another chunk after SIGTERM or after its terminal was closed; a program that runs after the worker's folder
+//! was removed.
 //!
 //! - One lease per worker, renewed by its heartbeats also while chunks are made. Each worker looks for leases
 //!   that have ended, and returns the chunks of those workers to the queue.
@@ -32,7 +33,7 @@ use crate::order::Failed;
 use crate::pause::{LeftOrders, Pause};
 use crate::queue::{ANSWER, ChunkRef, Queue};
 use crate::scratch::Scratch;
-use crate::store::{INPUTS, Store};
+use crate::store::Store;
 use crate::{WorkerError, WorkerResult};
 
 /// Connections of a worker without those of its slots: heartbeat, sweep, listener.
@@ -76,6 +77,8 @@ struct Shared {
     id: String,
     allowed: Vec<String>,
     ending: watch::Receiver<bool>,
+    /// Whether the present chunks are abandoned.
+    ending_now: watch::Receiver<bool>,
     /// Numbers of the chunks that the slots have.
     held: Mutex<BTreeSet<i64>>,
     left: Mutex<LeftOrders>,
@@ -94,6 +97,7 @@ pub async fn work(queue: Queue, store: Store, work: Work) -> WorkerResult<()> {
     let host = host();
     let id = format!("{host}/{}/{}", std::process::id(), scratch.name());
     let (tell, ending) = watch::channel(false);
+    let (tell_now, ending_now) = watch::channel(false);
     let mut signals = Signals::new().map_err(WorkerError::file("signals"))?;
     tracing::info!(
         worker = id,
@@ -109,6 +113,7 @@ pub async fn work(queue: Queue, store: Store, work: Work) -> WorkerResult<()> {
         work,
         id,
         ending,
+        ending_now,
         held: Mutex::default(),
         left: Mutex::default(),
         added: Notify::new(),
@@ -117,11 +122,10 @@ pub async fn work(queue: Queue, store: Store, work: Work) -> WorkerResult<()> {
         failed: AtomicU64::new(0),
     });
     let mut slots = JoinSet::new();
-    let inputs = Inputs::new(scratch.path().join(INPUTS));
+    let inputs = Inputs::new(scratch.inputs());
     for slot in 0..shared.work.at_once {
         let maker = Maker::new(shared.work.program.clone(), shared.work.threads, shared.work.limit);
-        let folder = scratch.path().join(format!("slot-{slot}"));
-        let bench = Bench::new(shared.store.clone(), inputs.clone(), maker, folder);
+        let bench = Bench::new(shared.store.clone(), inputs.clone(), maker, scratch.slot(slot));
         slots.spawn(run_slot(shared.clone(), bench));
     }
     let mut helpers = JoinSet::new();
@@ -149,6 +153,8 @@ pub async fn work(queue: Queue, store: Store, work: Work) -> WorkerResult<()> {
                 // The shell and the kernel may both report that the terminal was closed.
                 if tell.send_replace(true) && kind != SignalKind::hangup() {
                     tracing::warn!("ends now; its chunks are returned when its lease ends");
+                    tell_now.send_replace(true);
+                    while slots.join_next().await.is_some() {}
                     return Err(WorkerError::Failed("ended by a second signal".into()));
                 }
                 tracing::info!("ends after its present chunks");
@@ -169,8 +175,19 @@ pub async fn work(queue: Queue, store: Store, work: Work) -> WorkerResult<()> {
     ended
 }
 
-/// Takes and makes chunks until the worker ends.
+/// Makes chunks until the worker ends. Afterwards the program of the slot has ended, and writes no file.
 async fn run_slot(shared: Arc<Shared>, mut bench: Bench) -> WorkerResult<()> {
+    let mut now = shared.ending_now.clone();
+    let ended = tokio::select! {
+        ended = make_chunks(&shared, &mut bench) => ended,
+        () = async { drop(now.wait_for(|now| *now).await) } => Ok(()),
+    };
+    bench.kill().await;
+    ended
+}
+
+/// Takes and makes chunks until the worker ends.
+async fn make_chunks(shared: &Shared, bench: &mut Bench) -> WorkerResult<()> {
     let mut ending = shared.ending.clone();
     let mut pause = Pause::default();
     let mut connected = false;
@@ -214,7 +231,7 @@ async fn run_slot(shared: Arc<Shared>, mut bench: Bench) -> WorkerResult<()> {
             continue;
         };
         shared.held.lock().insert(*job.id());
-        settle(&shared, &mut bench, &job).await;
+        settle(shared, bench, &job).await;
         shared.held.lock().remove(job.id());
     }
     bench.end().await;

@@ -28,10 +28,8 @@ const READ_OUT: usize = 8;
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 #[allow(missing_docs, reason = "the message names the fields")]
 pub enum BatchError {
-    /// A contact of a trial is rejected by the model.
     #[error("trial {trial}: {source}")]
     Trial { trial: usize, source: ContactError },
-    /// The length of the output is not one frame per trial.
     #[error("batch: {trials} trials need room for {needed} voltages, there is room for {found}")]
     Output { trials: usize, needed: usize, found: usize },
 }

@@ -27,29 +27,16 @@ pub enum CalibrationError {
     /// The text is not TOML, or has a key or a type that a calibration does not have.
     #[error("{0}")]
     Syntax(String),
-    /// A value is outside its limits.
     #[error("{key} = {value}: {limit}")]
     Value { key: String, value: String, limit: String },
-    /// The id is not that of the content: the file was edited or damaged.
+    /// `found`: `none` if the file has no id.
     #[error("id = {found}: the content's id is {needed}; calibrate again, do not edit")]
-    Id {
-        /// Id in the file; `none` if there is none.
-        found: String,
-        /// Id of the content.
-        needed: String,
-    },
-    /// The calibration was made for another sensor.
+    Id { found: String, needed: String },
     #[error("sensor = {found}: the calibration is of another sensor than {needed}")]
     OtherSensor { found: String, needed: String },
     /// The moduli were fitted on another mesh: point loads make them depend on it.
     #[error("foam.mesh = {found}: the moduli are of another mesh than {needed}")]
-    OtherMesh {
-        /// Mesh id in the calibration, see [`mesh_id`].
-        found: String,
-        /// Mesh id of the sensor it is applied to.
-        needed: String,
-    },
-    /// The sensor with the calibrated values is invalid.
+    OtherMesh { found: String, needed: String },
     #[error("calibrated sensor: {0}")]
     Sensor(#[from] SensorError),
 }

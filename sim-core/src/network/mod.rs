@@ -47,29 +47,16 @@ pub struct SheetNetwork {
     pub electrodes: Vec<u32>,
 }
 
-/// Why the network cannot contain an electrode.
+/// Why the network cannot contain an electrode; electrodes count from 0.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
+#[allow(missing_docs, reason = "the message names the fields")]
 pub enum ElectrodeError {
-    /// An ideal electrode is not on a node.
     #[error("network: electrode {electrode} is off every node and needs a contact resistance")]
-    IdealOffNode {
-        /// Index of the electrode, from 0.
-        electrode: usize,
-    },
-    /// Two electrodes are on the same node.
+    IdealOffNode { electrode: usize },
     #[error("network: electrode {electrode} is on the node of another one")]
-    SharedNode {
-        /// Index of the second electrode, from 0.
-        electrode: usize,
-    },
-    /// A resistance is negative or not finite.
+    SharedNode { electrode: usize },
     #[error("network: electrode {electrode} has a resistance of {ohm} ohm")]
-    Resistance {
-        /// Index of the electrode, from 0.
-        electrode: usize,
-        /// Value of the resistance, ohm.
-        ohm: f64,
-    },
+    Resistance { electrode: usize, ohm: f64 },
 }
 
 impl SheetNetwork {

@@ -159,12 +159,8 @@ impl RigConfig {
         c.require(known, "cells.line", &self.cells.line, "must be one of [lines]");
         self.cells.check(&mut c);
         let (low, high) = (self.slot.radius_mm[0], self.slot.radius_mm[1]);
-        c.require(
-            low > 0.0 && low < high,
-            "slot.radius_mm",
-            format!("[{low}, {high}]"),
-            "must be [lower, upper], positive",
-        );
+        let (ok, shown) = (low > 0.0 && low < high, format!("[{low}, {high}]"));
+        c.require(ok, "slot.radius_mm", shown, "must be [lower, upper], positive");
         let slope = self.slot.mm_per_deg;
         let ok = (1e-3..=1000.0).contains(&slope.abs());
         c.require(ok, "slot.mm_per_deg", slope, "must be from 0.001 to 1000, or its negative");
@@ -179,12 +175,9 @@ impl RigConfig {
         c.within("skin.origin_y_mm", self.skin.origin_y_mm, -1e4..=1e4);
         let [top, bottom] = self.skin.surface_z_mm;
         let z = self.axes.z.travel_mm;
-        c.require(
-            z[0] <= top - self.skin.clearance_mm && top < bottom && bottom <= z[1],
-            "skin.surface_z_mm",
-            format!("[{top}, {bottom}]"),
-            "must be [lower, upper] within axes.z.travel_mm, with clearance_mm above",
-        );
+        let ok = z[0] <= top - self.skin.clearance_mm && top < bottom && bottom <= z[1];
+        let limit = "must be [lower, upper] within axes.z.travel_mm, with clearance_mm above";
+        c.require(ok, "skin.surface_z_mm", format!("[{top}, {bottom}]"), limit);
         c.within("skin.search_below_mm", self.skin.search_below_mm, 0.5..=20.0);
         if let Some(expected) = self.skin.expected_z_mm {
             c.within("skin.expected_z_mm", expected, top..=bottom);

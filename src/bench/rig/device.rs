@@ -162,45 +162,32 @@ pub(super) fn by_name<T: Copy, E: Error>(
     })
 }
 
-impl Serialize for AxisDevice {
-    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        serializer.serialize_str(self.name)
-    }
+/// Writes, compares and shows devices by their names.
+macro_rules! by_its_name {
+    ($($device:ty),*) => {$(
+        impl Serialize for $device {
+            fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+                serializer.serialize_str(self.name)
+            }
+        }
+
+        impl PartialEq for $device {
+            fn eq(&self, other: &Self) -> bool {
+                self.name == other.name
+            }
+        }
+
+        impl Eq for $device {}
+
+        impl fmt::Debug for $device {
+            fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                f.write_str(self.name)
+            }
+        }
+    )*};
 }
 
-impl Serialize for CellsDevice {
-    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        serializer.serialize_str(self.name)
-    }
-}
-
-impl PartialEq for AxisDevice {
-    fn eq(&self, other: &Self) -> bool {
-        self.name == other.name
-    }
-}
-
-impl Eq for AxisDevice {}
-
-impl PartialEq for CellsDevice {
-    fn eq(&self, other: &Self) -> bool {
-        self.name == other.name
-    }
-}
-
-impl Eq for CellsDevice {}
-
-impl fmt::Debug for AxisDevice {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(self.name)
-    }
-}
-
-impl fmt::Debug for CellsDevice {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(self.name)
-    }
-}
+by_its_name!(AxisDevice, CellsDevice);
 
 #[cfg(test)]
 mod tests {

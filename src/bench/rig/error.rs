@@ -5,7 +5,6 @@
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[allow(missing_docs, reason = "the message names the fields")]
 pub enum RigError {
-    /// No reply arrived within the deadline.
     #[error("{device}: no reply to {operation} within {timeout_ms} ms")]
     NoReply { device: String, operation: String, timeout_ms: u64 },
     /// The wire could not be opened, or the connection was lost.
@@ -23,7 +22,6 @@ pub enum RigError {
     /// A commanded position is outside the soft limits; nothing was sent.
     #[error("{device}: target {target:.3} is outside its travel [{min:.3}, {max:.3}]")]
     OutsideTravel { device: String, target: f64, min: f64, max: f64 },
-    /// The stream did not deliver the requested frames in time.
     #[error("ert: {got} of {wanted} frames arrived within {timeout_ms} ms")]
     NoFrames { wanted: usize, got: usize, timeout_ms: u64 },
     /// The device cannot be used in its present state: alarm, emergency stop, servo off, not
@@ -36,7 +34,6 @@ pub enum RigError {
     /// A motion was withdrawn because its axis was commanded to stop before it was sent.
     #[error("{device}: {operation} withdrawn: the axis was commanded to stop")]
     Withdrawn { device: String, operation: String },
-    /// The thread that reads the stream could not be started.
     #[error("{device}: cannot start its reader: {cause}")]
     Start { device: String, cause: String },
     /// The task that owns the wire has ended.

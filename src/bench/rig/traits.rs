@@ -7,6 +7,7 @@ use std::fmt;
 use std::sync::Arc;
 
 use async_trait::async_trait;
+use jiff::Timestamp;
 use tokio::sync::broadcast;
 use tokio::time::Instant;
 
@@ -193,6 +194,8 @@ pub struct StreamCounters {
     pub garbled: u64,
     /// Number of times the wire was reopened.
     pub reconnects: u64,
+    /// Wall time since which the wire is open and its device has not restarted; none before it was open.
+    pub since: Option<Timestamp>,
 }
 
 /// The voltage stream of the skin.

@@ -108,18 +108,14 @@ pub enum ErtConfig {
 impl ErtConfig {
     /// Number of electrodes; packets with another number are rejected.
     pub fn electrodes(&self) -> u16 {
-        match self {
-            ErtConfig::Tcp { electrodes, .. } | ErtConfig::Serial { electrodes, .. } => *electrodes,
-        }
+        let (Self::Tcp { electrodes, .. } | Self::Serial { electrodes, .. }) = self;
+        *electrodes
     }
 
     /// Frames per process second.
     pub fn frame_rate_hz(&self) -> f64 {
-        match self {
-            ErtConfig::Tcp { frame_rate_hz, .. } | ErtConfig::Serial { frame_rate_hz, .. } => {
-                *frame_rate_hz
-            }
-        }
+        let (Self::Tcp { frame_rate_hz, .. } | Self::Serial { frame_rate_hz, .. }) = self;
+        *frame_rate_hz
     }
 
     /// Checks rate and electrodes.

@@ -301,12 +301,9 @@ impl Experiment {
             check_counts("real_hex.tips", &hex.tips, &mut c);
             c.within("real_hex.configurations", f64::from(hex.configurations), 1.0..=1e6);
             let [low, high] = hex.radius_pitches;
-            c.require(
-                (2..=high).contains(&low) && high <= 15,
-                "real_hex.radius_pitches",
-                format!("[{low}, {high}]"),
-                "must be [lower, upper] from 2 (1 would make tips touch) to 15",
-            );
+            let ok = (2..=high).contains(&low) && high <= 15;
+            let limit = "must be [lower, upper] from 2 (1 would make tips touch) to 15";
+            c.require(ok, "real_hex.radius_pitches", format!("[{low}, {high}]"), limit);
             c.within("real_hex.first_depth_mm", hex.first_depth_mm, 0.0..=8.0);
             c.within("real_hex.depth_step_mm", hex.depth_step_mm, 0.01..=8.0);
             c.within("real_hex.depths", f64::from(hex.depths), 1.0..=1000.0);

@@ -246,12 +246,9 @@ impl Plan {
             let pool = lattice.pool(tips, hex.radius_pitches);
             let Some(fixed) = FixedPlaces::of(&lattice, sensor, &pool, hex) else {
                 let [low, high] = hex.radius_pitches;
-                problems.push(Problem::new(
-                    file,
-                    "real_hex.radius_pitches",
-                    format!("[{low}, {high}]"),
-                    format!("has no position with {tips} tips on points"),
-                ));
+                let found = format!("[{low}, {high}]");
+                let limit = format!("has no position with {tips} tips on points");
+                problems.push(Problem::new(file, "real_hex.radius_pitches", found, limit));
                 continue;
             };
             self.add_setting(hex, tips, &pool, &lattice, &fixed, &mut groups);

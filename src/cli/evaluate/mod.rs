@@ -4,7 +4,7 @@
 
 use clap::{Args, Subcommand};
 
-use super::error::CliResult;
+use super::error::{CliError, CliResult};
 use super::infer::methods;
 use super::train::quantities;
 use super::{At, embed, vocabulary};
@@ -51,14 +51,15 @@ enum What {
     /// Compare nets with ridge and kernel ridge regression on a position, pattern, count or force.
     ///
     /// For any skin, also of imported trials. Trains both regressions and the nets of --recipe on the
-    /// dataset's rows, and scores all of them on the same rows of its part test.
+    /// dataset's rows, and scores all of them on the same rows of its part test. Of several datasets,
+    /// such as one for each batch that is excluded from training, the table has the mean, too.
     Quantity {
         /// Quantity: position (of one contact), pattern (of known places), count or force.
         #[arg(value_name = "QUANTITY", value_parser = quantities())]
         quantity: Quantity,
-        /// Name or id of a dataset with a split.
-        #[arg(long, value_name = "NAME", default_value = "real")]
-        dataset: String,
+        /// Name or id of a dataset with a split; may be repeated.
+        #[arg(long = "dataset", value_name = "NAME", default_value = "real")]
+        datasets: Vec<String>,
         /// A condition on its rows; may be repeated.
         #[arg(long = "where", value_name = "CONDITION")]
         conditions: Vec<String>,
@@ -163,10 +164,15 @@ pub async fn evaluate(args: EvaluateArgs) -> CliResult<()> {
         What::Method { method, lab } => {
             with_lab(lab, async |lab, budget| scores(lab, &method.request(budget)).await).await
         }
-        What::Quantity { quantity, dataset, conditions, recipes, nets, lab } => {
+        What::Quantity { quantity, datasets, conditions, recipes, nets, lab } => {
+            for (at, name) in datasets.iter().enumerate() {
+                if datasets[..at].contains(name) {
+                    return Err(CliError::argument("dataset", name, "must be named once"));
+                }
+            }
             let default = recipes.is_empty() && nets.is_empty();
             let recipes = if default { vec!["mlp".into()] } else { recipes };
-            let compared = Compared { quantity, dataset, conditions, recipes, nets };
+            let compared = Compared { quantity, datasets, conditions, recipes, nets };
             with_lab(lab, async |lab, budget| {
                 studies::quantity::quantity(lab, budget, &compared).await
             })

@@ -32,10 +32,8 @@ pub enum CalibrateError {
     Measurements(Vec<Problem>),
     #[error("solving the skin's surface: {0}")]
     Surface(#[from] ResponsesError),
-    /// The fitted moduli are invalid for a sensor.
     #[error("fitting moduli: {0}")]
     Sensor(#[from] SensorError),
-    /// On held-out trials the fit is not better than the model that it started from.
     #[error(
         "the fit is not better than its start and is not stored: median FVU of held-out trials \
          {before:.3} before, {after:.3} after; use more trials (--trials) at more positions"

@@ -32,7 +32,6 @@ pub enum ChunkError {
     Index { index: u64, last: u64 },
     #[error("{operation} {path}: {}", system_words(source), path = path.display())]
     File { operation: &'static str, path: PathBuf, source: io::Error },
-    /// The bytes of a chunk could not be made.
     #[error("chunk {index}: {source}")]
     Make { index: u64, source: MakeFailure },
     #[error(

@@ -12,17 +12,14 @@ use super::picture::{self, Scene};
 
 /// Why a trial cannot be exported.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs, reason = "the message names the fields")]
 pub enum ExportError {
-    /// The model rejects a contact.
     #[error(transparent)]
     Contact(#[from] ContactError),
-    /// The network cannot be built.
     #[error(transparent)]
     Electrode(#[from] ElectrodeError),
-    /// The netlist cannot be written.
     #[error(transparent)]
     Spice(#[from] SpiceError),
-    /// The displacement field could not be solved.
     #[error("drawing the deformed mesh: {0}")]
     Solve(#[from] SolveError),
 }

@@ -19,11 +19,10 @@ use crate::new_file;
 
 /// Why the model of a sensor is not available.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs, reason = "the message names the fields")]
 pub enum ModelUnavailable {
-    /// The elastic problem could not be solved.
     #[error("solving the unit responses: {0}")]
     Responses(#[from] ResponsesError),
-    /// Mesh, fields or electrodes do not match.
     #[error(transparent)]
     Model(#[from] ModelError),
 }

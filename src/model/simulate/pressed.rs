@@ -38,7 +38,6 @@ pub struct Pressed {
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 #[allow(missing_docs, reason = "the message names the fields")]
 pub enum PressedError {
-    /// The model rejects a contact.
     #[error(transparent)]
     Contact(#[from] ContactError),
     /// No force reaches the depth of the contact of this index, from 0.

@@ -155,16 +155,23 @@ pub async fn confirmation(
         return Ok(Request::Confirm { done, confirmation });
     };
     let verdict = app.placement.judge_now(awaited.run, awaited.trial).await;
-    if verdict.kind == VerdictKind::Wrong && !confirmation.anyway {
-        let reasons = verdict.words.join("; ");
-        let words = format!(
-            "trial {} is not confirmed: {reasons}; correct it, or confirm it with `anyway`",
-            awaited.trial
-        );
-        return Err(ApiError::new(StatusCode::CONFLICT, words));
-    }
-    confirmation.verdict = verdict.kind;
+    confirmation.verdict = unless_refused(awaited.trial, &verdict, confirmation.anyway)?;
     Ok(Request::Confirm { done, confirmation })
+}
+
+/// The verdict with which a placement is confirmed.
+///
+/// # Errors
+/// 409 with the reasons if the skin contradicts the placement, unless it is to be stored `anyway`.
+fn unless_refused(trial: u32, verdict: &Verdict, anyway: bool) -> ApiResult<VerdictKind> {
+    if verdict.kind != VerdictKind::Wrong || anyway {
+        return Ok(verdict.kind);
+    }
+    let reasons = verdict.words.join("; ");
+    let words = format!(
+        "trial {trial} is not confirmed: {reasons}; correct it, or confirm it with `anyway`"
+    );
+    Err(ApiError::new(StatusCode::CONFLICT, words))
 }
 
 /// What a person has done, with what the run waits for now in place of what is not stated: it must not confirm what the
@@ -193,6 +200,21 @@ mod tests {
     use super::*;
     use crate::campaign::bench::rig_state::RigState;
     use crate::state::{PausedWhy, StoredState};
+
+    #[test]
+    fn a_placement_that_was_refused_is_confirmed_once_the_skin_agrees_or_anyway() {
+        let wrong = Verdict::without(VerdictKind::Wrong, "weight 1 is not felt");
+        let refused = unless_refused(3, &wrong, false).unwrap_err();
+        assert_eq!(refused.status(), StatusCode::CONFLICT);
+        let words = refused.detail();
+        assert!(words.starts_with("trial 3 is not confirmed: weight 1 is not felt; "), "{words}");
+        // The second confirmation.
+        assert_eq!(unless_refused(3, &wrong, true).unwrap(), VerdictKind::Wrong, "doubted");
+        for kind in [VerdictKind::Right, VerdictKind::Unsure, VerdictKind::Unknown] {
+            let verdict = Verdict::without(kind, "");
+            assert_eq!(unless_refused(3, &verdict, false).unwrap(), kind);
+        }
+    }
 
     #[test]
     fn a_confirmation_is_of_what_the_run_waits_for_when_it_arrives() {

@@ -30,7 +30,7 @@ pub fn of_rig(app: &App, status: &Status) -> Vec<ActionStatus> {
     let actions = actions.filter(|action| status.rig.has_stage || !action.needs_stage());
     let actions = actions.map(|action| {
         let at_a_desk = (app.facts.desk && action == RigAction::Connect).then(|| DESK.to_owned());
-        let refused = at_a_desk.or_else(|| action.refused(status));
+        let refused = at_a_desk.or_else(|| action.refused_now(status));
         ActionStatus { action: action.as_str(), refused }
     });
     let is_connected = status.rig.state != RigState::Disconnected;

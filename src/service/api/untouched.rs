@@ -67,5 +67,5 @@ fn mean(trials: &[TrialRow], channels: usize) -> Option<Untouched> {
         (sum / frames.max(1) as f64) as f32
     };
     let voltages_v = (0..channels).map(mean_v).collect();
-    Some(Untouched { voltages_v, at: *at, frames, run: Some(*run) })
+    Some(Untouched { voltages_v, at: *at, frames, run: Some(*run), stream_since: None })
 }

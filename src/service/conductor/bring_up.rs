@@ -39,7 +39,7 @@ impl Conductor {
             self.require_unattended(run, before).await?;
             // Read after it: the run may have been aborted or held meanwhile.
             if self.is_brought_up(run.uid) {
-                campaign.ask(Request::Home).await?;
+                campaign.ask(Request::HomeForRun).await?;
             }
         }
         self.watch_homing(run, before, Instant::now() + HOMING_WAIT).await
@@ -147,7 +147,7 @@ mod tests {
         let [run, _next] = earlier(&conductor).await;
         inbox.status.send_modify(|status| status.rig.state = RigState::Disarmed);
         let operates = async {
-            granted(&mut inbox, |request| matches!(request, Request::Home)).await;
+            granted(&mut inbox, |request| matches!(request, Request::HomeForRun)).await;
             conductor.note_operation();
             granted(&mut inbox, |request| matches!(request, Request::Abort)).await;
         };
@@ -164,7 +164,7 @@ mod tests {
         let [run, next] = earlier(&conductor).await;
         inbox.status.send_modify(|status| status.rig.state = RigState::Disarmed);
         let locks = async {
-            granted(&mut inbox, |request| matches!(request, Request::Home)).await;
+            granted(&mut inbox, |request| matches!(request, Request::HomeForRun)).await;
             tokio::time::sleep(Duration::from_millis(20)).await;
             conductor.inner.store.set_lock("bob", "hands in the rig").await.unwrap();
             granted(&mut inbox, |request| matches!(request, Request::Abort)).await;
@@ -245,7 +245,7 @@ mod tests {
         let resumes = async {
             let resumes = conductor.resume_after_restart(AutoResume::Allowed);
             let begins = async {
-                granted(&mut inbox, |request| matches!(request, Request::Home)).await;
+                granted(&mut inbox, |request| matches!(request, Request::HomeForRun)).await;
                 inbox.status.send_modify(|status| {
                     status.rig.state = RigState::Armed;
                     status.run = Some(show::started(&job));

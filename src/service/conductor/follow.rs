@@ -19,6 +19,8 @@ use crate::store::{RunRow, StoreResult};
 
 /// Pause before a run that the rig did not take up is offered again.
 const BUSY_AGAIN: Duration = Duration::from_secs(5);
+/// Starts of a run without an answer, one after the other, after which a person must start it again.
+const UNANSWERED_STARTS: u32 = 8;
 /// Pause before the store is told again of runs that were dropped while it failed.
 const STORE_AGAIN: Duration = Duration::from_secs(10);
 
@@ -31,6 +33,7 @@ impl Conductor {
         let mut again: Option<Instant> = None;
         // While a run that was dropped is stored as one that waits: when to store it.
         let mut store_at: Option<Instant> = None;
+        let mut unanswered = 0;
         loop {
             tokio::select! {
                 changed = status.changed() => if changed.is_err() { return },
@@ -62,7 +65,7 @@ impl Conductor {
             if !free {
                 again = None;
             } else if again.is_none() {
-                match self.begin_next(Timestamp::now()).await {
+                match self.begin_next(Timestamp::now(), &mut unanswered).await {
                     Ok(pause) => again = pause.map(|pause| Instant::now() + pause),
                     Err(error) => {
                         tracing::warn!(error = error_chain(&error), "the next run did not start");
@@ -76,23 +79,33 @@ impl Conductor {
 
     /// Begins the first waiting run that is due. A run that cannot begin must be started again, unless the rig is busy or
     /// not ready any more, or the store fails; an event reports it. Returns when to decide again, if none began and
-    /// some are early.
-    async fn begin_next(&self, now: Timestamp) -> ConductorResult<Option<Duration>> {
+    /// some are early. `unanswered`: the last starts, one after the other, that the campaign did not answer.
+    async fn begin_next(
+        &self,
+        now: Timestamp,
+        unanswered: &mut u32,
+    ) -> ConductorResult<Option<Duration>> {
         let waiting = self.still_waiting().await?;
         let lock = self.inner.store.lock().await?;
         let starters = self.starters();
         let present = turn::Present { now, lock: lock.as_ref(), starters: &starters };
         for run in waiting.iter().filter(|run| present.lets_begin(run)) {
-            match self.begin(run, self.require_turn(run)).await {
+            let begun = self.begin(run, self.require_turn(run)).await;
+            let is_unanswered = matches!(begun, Err(ConductorError::Refused(Refusal::Gone)));
+            *unanswered = if is_unanswered { *unanswered + 1 } else { 0 };
+            match begun {
                 Ok(()) => return Ok(None),
                 // Another run was started first: this one continues to wait.
                 Err(_) if self.inner.campaign.status().run.is_some() => return Ok(None),
-                // The rig is busy, for example with a jog or a homing.
-                Err(ConductorError::Refused(Refusal::Busy(_) | Refusal::Gone)) => {
+                // The rig is busy, for example with a jog or a homing, or its thread does not answer.
+                Err(ConductorError::Refused(Refusal::Busy(_) | Refusal::Gone))
+                    if *unanswered < UNANSWERED_STARTS =>
+                {
                     return Ok(Some(BUSY_AGAIN));
                 }
                 // The rig is not ready any more, for example without wires: no fault of this run.
                 Err(ConductorError::Refused(_)) if !self.inner.campaign.status().rig.is_ready() => {
+                    *unanswered = 0;
                     return Ok(None);
                 }
                 // The store may answer again, and nothing was requested of the rig.
@@ -100,7 +113,10 @@ impl Conductor {
                     tracing::warn!(error = error_chain(&error), "the next run did not start yet");
                     return Ok(Some(BUSY_AGAIN));
                 }
-                Err(error) => self.drop_waiting(run, &error.to_string()).await?,
+                Err(error) => {
+                    *unanswered = 0;
+                    self.drop_waiting(run, &error.to_string()).await?;
+                }
             }
         }
         Ok(turn::decide_again(&waiting, present))
@@ -247,17 +263,12 @@ async fn until(at: Option<Instant>) {
 
 #[cfg(test)]
 mod tests {
-    use std::sync::Arc;
-    use std::sync::atomic::AtomicU64;
-
     use super::super::stand_in::{asked, conductor, driven, granted, in_an_hour, queued_on, start};
     use super::super::{AutoResume, Started, Terms};
     use super::*;
     use crate::campaign::bench::interlock::{Trip, TripKind};
     use crate::campaign::bench::rig_state::RigState;
     use crate::campaign::shown::command::Request;
-    use crate::campaign::shown::show;
-    use crate::suspension::Suspensions;
 
     /// Why a run is dropped.
     const BEFORE_ABORTED: &str = "the run before it was aborted";
@@ -365,24 +376,6 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_run_that_a_person_has_started_is_not_taken_over() {
-        let (conductor, inbox, _folder) = conductor().await;
-        let run = queued(&conductor, None).await;
-        let job = conductor.prepare_stored(&run).await.unwrap().job(&run);
-        driven(&conductor, &run).await;
-        let one_at_a_time = conductor.inner.beginning.lock().await;
-        let taken = conductor.resume_after_restart(AutoResume::Allowed);
-        let begins = async {
-            tokio::time::sleep(Duration::from_millis(100)).await;
-            inbox.status.send_modify(|status| status.run = Some(show::started(&job)));
-            drop(one_at_a_time);
-        };
-        let both = async { tokio::join!(taken, begins).0 };
-        tokio::time::timeout(Duration::from_secs(20), both).await.expect("at once").unwrap();
-        assert_eq!(conductor.present(&run).await.unwrap().state, StoredState::Running);
-    }
-
-    #[tokio::test]
     async fn no_run_of_the_earlier_process_begins_after_an_abort_before_it_is_taken_over() {
         let (conductor, inbox, _folder) = conductor().await;
         let terms =
@@ -442,7 +435,9 @@ mod tests {
             conductor.inner.store.close().await;
             drop(one_at_a_time);
         };
-        let (begun, ()) = tokio::join!(conductor.begin_next(Timestamp::now()), fails);
+        let mut unanswered = 0;
+        let begins = conductor.begin_next(Timestamp::now(), &mut unanswered);
+        let (begun, ()) = tokio::join!(begins, fails);
         // On a slow machine it fails before it has read which runs wait.
         let is_later = match &begun {
             Ok(pause) => *pause == Some(BUSY_AGAIN),
@@ -459,6 +454,7 @@ mod tests {
         let run = queued(&conductor, None).await;
         conductor.inner.store.set_waiting(run.uid).await.unwrap();
         conductor.let_wait([run.uid]);
+        let mut unanswered = 0;
         for (state, waits) in [(RigState::Disconnected, true), (RigState::Homed, false)] {
             inbox.status.send_modify(|status| status.rig.state = state);
             let refuses = async {
@@ -466,7 +462,8 @@ mod tests {
                     |request: &Request| matches!(request, Request::Start(job) if job.has_waited);
                 let _ = asked(&mut inbox, is_this).await.send(Err(Refusal::State("no".into())));
             };
-            let (begun, ()) = tokio::join!(conductor.begin_next(Timestamp::now()), refuses);
+            let begins = conductor.begin_next(Timestamp::now(), &mut unanswered);
+            let (begun, ()) = tokio::join!(begins, refuses);
             assert_eq!(begun.unwrap(), None);
             assert_eq!(conductor.waiting().contains(&run.uid), waits, "{state:?}");
         }
@@ -474,22 +471,25 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn an_operation_of_the_rig_and_a_suspension_count_until_the_run_is_started_again() {
-        let (conductor, _inbox, _folder) = conductor().await;
-        let run = queued(&conductor, in_an_hour()).await;
-        let suspended_s = Arc::<AtomicU64>::default();
-        let read = suspended_s.clone();
-        *conductor.inner.suspensions.lock() =
-            Suspensions::of(move || Duration::from_secs(read.load(Ordering::SeqCst)));
-        let is_operated = || conductor.is_operated_since_start(run.uid);
-        assert!(!is_operated());
-        conductor.note_operation();
-        assert!(is_operated() && is_operated(), "it lasts");
-        start(&conductor, &run).await;
-        assert!(!is_operated());
-        suspended_s.store(3600, Ordering::SeqCst);
-        assert!(is_operated());
-        start(&conductor, &run).await;
-        assert!(!is_operated());
+    async fn a_start_that_is_not_answered_is_repeated_a_few_times_only() {
+        let (conductor, inbox, _folder) = conductor().await;
+        let run = queued(&conductor, None).await;
+        conductor.inner.store.set_waiting(run.uid).await.unwrap();
+        conductor.let_wait([run.uid]);
+        // The campaign takes no request any more.
+        drop(inbox.requests);
+        // The rig is not ready any more after the last of them: later ones are counted from the first.
+        let mut unanswered = UNANSWERED_STARTS - 1;
+        let pause = conductor.begin_next(Timestamp::now(), &mut unanswered).await.unwrap();
+        assert_eq!((pause, unanswered), (None, 0));
+        inbox.status.send_modify(|status| status.rig.state = RigState::Homed);
+        for attempt in 1..=UNANSWERED_STARTS {
+            let pause = conductor.begin_next(Timestamp::now(), &mut unanswered).await.unwrap();
+            let is_repeated = attempt < UNANSWERED_STARTS;
+            assert_eq!(pause, is_repeated.then_some(BUSY_AGAIN));
+            assert_eq!(conductor.waiting().contains(&run.uid), is_repeated);
+        }
+        let why = conductor.why_dropped(run.uid);
+        assert_eq!(why.as_deref(), Some("the rig's thread does not answer"));
     }
 }

@@ -206,6 +206,8 @@ impl Conductor {
 
 #[cfg(test)]
 mod tests {
+    use std::sync::Arc;
+
     use super::super::stand_in::{
         conductor, driven, earlier, granted, in_an_hour, queued_on, start, unasked,
     };
@@ -214,6 +216,7 @@ mod tests {
     use crate::campaign::shown::show;
     use crate::state::StoredState;
     use crate::store::RunRow;
+    use crate::suspension::Suspensions;
 
     /// Why a run is dropped.
     const ABORTED: &str = "the run before it was aborted";
@@ -384,5 +387,26 @@ mod tests {
         conductor.inner.campaign.estop("hands");
         conductor.keep_stopped().await;
         assert_eq!(waits().await, 0);
+    }
+
+    #[tokio::test]
+    async fn an_operation_of_the_rig_and_a_suspension_count_until_the_run_is_started_again() {
+        let (conductor, _inbox, _folder) = conductor().await;
+        let terms = Terms { auto_resume: None, not_before: in_an_hour() };
+        let run = queued_on(&conductor, terms).await;
+        let suspended_s = Arc::<AtomicU64>::default();
+        let read = suspended_s.clone();
+        *conductor.inner.suspensions.lock() =
+            Suspensions::of(move || Duration::from_secs(read.load(Ordering::SeqCst)));
+        let is_operated = || conductor.is_operated_since_start(run.uid);
+        assert!(!is_operated());
+        conductor.note_operation();
+        assert!(is_operated() && is_operated(), "it lasts");
+        start(&conductor, &run).await;
+        assert!(!is_operated());
+        suspended_s.store(3600, Ordering::SeqCst);
+        assert!(is_operated());
+        start(&conductor, &run).await;
+        assert!(!is_operated());
     }
 }

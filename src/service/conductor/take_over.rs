@@ -279,7 +279,8 @@ impl Conductor {
 
 #[cfg(test)]
 mod tests {
-    use super::super::stand_in::{asked, conductor, earlier, granted, unasked};
+    use super::super::Terms;
+    use super::super::stand_in::{asked, conductor, driven, earlier, granted, queued_on, unasked};
     use super::*;
     use crate::campaign::shown::command::Inbox;
     use crate::campaign::shown::show;
@@ -448,5 +449,23 @@ mod tests {
             asked = homing => asked,
         };
         assert!(asked.is_err(), "{asked:?}");
+    }
+
+    #[tokio::test]
+    async fn a_run_that_a_person_has_started_is_not_taken_over() {
+        let (conductor, inbox, _folder) = conductor().await;
+        let run = queued_on(&conductor, Terms::default()).await;
+        let job = conductor.prepare_stored(&run).await.unwrap().job(&run);
+        driven(&conductor, &run).await;
+        let one_at_a_time = conductor.inner.beginning.lock().await;
+        let taken = conductor.resume_after_restart(AutoResume::Allowed);
+        let begins = async {
+            tokio::time::sleep(Duration::from_millis(100)).await;
+            inbox.status.send_modify(|status| status.run = Some(show::started(&job)));
+            drop(one_at_a_time);
+        };
+        let both = async { tokio::join!(taken, begins).0 };
+        tokio::time::timeout(Duration::from_secs(20), both).await.expect("at once").unwrap();
+        assert_eq!(conductor.present(&run).await.unwrap().state, StoredState::Running);
     }
 }

@@ -148,6 +148,11 @@ impl PlacementWatch {
         if self.inner.serving.current().best().is_none() {
             return Verdict::without(VerdictKind::Unknown, NOBODY_SERVES);
         }
+        self.next_verdict(run, trial).await
+    }
+
+    /// The verdict on frames that arrive from now on.
+    async fn next_verdict(&self, run: RunUid, trial: u32) -> Verdict {
         let mut judged = self.inner.judged.subscribe();
         // A second confirmation waits for the verdict of the first: it must not delay it.
         let mut from = Instant::now();
@@ -341,7 +346,64 @@ fn is_due(at_rest: bool, asked: Option<Duration>, last: Option<Duration>) -> boo
 
 #[cfg(test)]
 mod tests {
+    use tempfile::TempDir;
+
     use super::*;
+    use crate::campaign::bench::estop::StopSwitch;
+    use crate::campaign::shown::command::channel;
+    use crate::campaign::shown::show;
+    use crate::clock::Clock;
+    use crate::infer::answer::Reading;
+    use crate::infer::registry::Registry;
+    use crate::rig::setup::RigSetup;
+
+    /// A watch whose readings are those of the test.
+    async fn scripted() -> (PlacementWatch, TempDir) {
+        let folder = tempfile::tempdir().unwrap();
+        let (data, clock) = (folder.path(), Clock::new(1.0));
+        let store = Store::open(&data.join("palpate.db"), clock.clone()).await.unwrap();
+        let text = include_str!("../../../experiments/rigs/virtual.toml");
+        let setup = RigSetup::from_toml("virtual.toml", text).unwrap();
+        let (campaign, _) = channel(StopSwitch::default(), show::closed(&setup));
+        let text = include_str!("../../../experiments/sensors/ert-28.toml");
+        let (sensor, models) =
+            (Sensor::from_toml(text), Registry::open(store.clone(), data, clock));
+        let serving =
+            Serving::new(store.clone(), models.unwrap(), sensor.unwrap(), text.into(), data);
+        (PlacementWatch::new(campaign, serving, store), folder)
+    }
+
+    #[tokio::test]
+    async fn a_second_confirmation_is_answered_by_frames_after_it() {
+        let (watch, _folder) = scripted().await;
+        let contacts = vec![PlacedContact { x_mm: 100.0, y_mm: 80.0, force_n: 4.905 }];
+        let awaited = Awaited { run: RunUid::new(), trial: 3, contacts };
+        let publish = |x_mm: f64, since: Instant| {
+            let felt = FoundContact { x_mm, y_mm: 80.0, force_n: Some(4.9), ..Default::default() };
+            let reading = Reading { contacts: vec![felt], ..Reading::default() };
+            let mut judged = Judged::unread(&awaited);
+            judged.verdict = judge(&judged.asked, &reading, true, None);
+            judged.since = Some(since);
+            watch.inner.judged.send_replace(Some(judged));
+        };
+        let mut kinds = Vec::new();
+        // The weight is on another point, and then where it was asked; each time the skin showed the opposite before.
+        for (before_mm, now_mm) in [(100.0, 160.0), (160.0, 100.0)] {
+            let before = Instant::now();
+            let follow = async {
+                let mut demand = watch.inner.demand.subscribe();
+                drop(demand.wait_for(Option::is_some).await.unwrap());
+                publish(before_mm, before);
+                tokio::task::yield_now().await;
+                publish(now_mm, Instant::now());
+            };
+            // In this order at each turn: the confirmation reads what was before.
+            let (verdict, ()) = tokio::join!(biased; watch.next_verdict(awaited.run, 3), follow);
+            kinds.push(verdict.kind);
+            assert_eq!(*watch.inner.demand.borrow(), None, "no person waits any more");
+        }
+        assert_eq!(kinds, [VerdictKind::Wrong, VerdictKind::Right]);
+    }
 
     #[test]
     fn a_confirmation_is_answered_at_once_at_rest_and_after_its_patience_anyway() {

@@ -79,15 +79,6 @@ impl Store {
         *self.inner.soundness.lock() = soundness.clone();
         Ok(soundness)
     }
-
-    /// Reads the whole file and checks its structure, its indexes and its references.
-    ///
-    /// # Errors
-    /// `Damaged` if it finds damage; `Sql` if the file cannot be read.
-    pub async fn integrity_check(&self) -> StoreResult<()> {
-        let findings = structure(&mut *self.read(OPERATION).await?).await?;
-        if findings.is_empty() { Ok(()) } else { Err(StoreError::Damaged { findings }) }
-    }
 }
 
 /// Returns the findings about the structure of the file and the texts of its runs.

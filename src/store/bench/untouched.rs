@@ -41,8 +41,9 @@ impl Store {
         let scan_id = self.facts_to_write(run, OPERATION).await?.scan_id;
         let volts = volts_blob(&skin.voltages_v);
         let query = sqlx::query(
-            "INSERT INTO untouched_frames (run, at, frame_count, voltages_v, crc32, after_trial)
-             SELECT ?1, ?2, ?3, ?4, ?5, (SELECT coalesce(max(id), 0) FROM trials WHERE run = ?1)
+            "INSERT INTO untouched_frames
+                 (run, at, frame_count, voltages_v, crc32, stream_since, after_trial)
+             SELECT ?1, ?2, ?3, ?4, ?5, ?6, (SELECT coalesce(max(id), 0) FROM trials WHERE run = ?1)
              WHERE NOT EXISTS (
                SELECT 1 FROM untouched_frames
                WHERE run = ?1 AND at = ?2 AND frame_count = ?3 AND crc32 = ?5
@@ -52,7 +53,8 @@ impl Store {
         .bind(time_text(skin.at))
         .bind(skin.frames as i64)
         .bind(&volts)
-        .bind(checksum::of_volts(&volts));
+        .bind(checksum::of_volts(&volts))
+        .bind(skin.stream_since.map(time_text));
         self.inner.writer.patient().execute(OPERATION, query).await.map(drop)
     }
 
@@ -130,8 +132,8 @@ fn last_before(
 /// The frame of a row.
 fn frame(connection: &Connection, id: i64, operation: &'static str) -> StoreResult<Untouched> {
     let mut row = Statement::new(
-        "SELECT u.voltages_v, u.crc32, u.at, u.frame_count, r.uid FROM untouched_frames u
-         JOIN runs r ON r.scan_id = u.run WHERE u.id = ",
+        "SELECT u.voltages_v, u.crc32, u.at, u.frame_count, u.stream_since, r.uid
+         FROM untouched_frames u JOIN runs r ON r.scan_id = u.run WHERE u.id = ",
     );
     row.bind(id);
     let of = || format!("the untouched skin {id}");
@@ -141,6 +143,7 @@ fn frame(connection: &Connection, id: i64, operation: &'static str) -> StoreResu
             at: c.time("at")?,
             frames: c.whole("frame_count")?,
             run: Some(c.word("uid")?),
+            stream_since: c.time_or_none("stream_since")?,
         })
     })?;
     rows.into_iter().next().ok_or_else(|| StoreError::damaged(format!("{} is missing", of())))

@@ -3,7 +3,7 @@
 
 use serde_json::json;
 
-use super::{EARLY_RUN, Folder, execute, findings, fresh, new_run, random_trial, time};
+use super::{EARLY_RUN, Folder, execute, findings, fresh, is_intact, new_run, random_trial, time};
 use crate::ids::{DatasetId, ModelId, RunUid, TrialKey};
 use crate::journal::Journal;
 use crate::state::StoredState;
@@ -123,7 +123,7 @@ async fn half_a_large_import_is_removed_in_several_transactions() {
     let (removed, left) = futures::join!(store.sweep_imports(), counted);
     assert_eq!((removed.unwrap(), left.unwrap()), (501, 1));
     assert!(all(&store, run.uid).await.is_empty());
-    store.integrity_check().await.unwrap();
+    is_intact(&store).await;
 }
 
 #[tokio::test]
@@ -158,7 +158,7 @@ async fn of_two_equal_imports_at_once_one_is_a_run_and_nothing_of_the_other_stay
         assert_eq!(all(&store, run).await.len(), 2, "an ended one stays");
     }
     assert_eq!(store.runs_with_trials().await.unwrap(), [other, second]);
-    store.integrity_check().await.unwrap();
+    is_intact(&store).await;
 }
 
 fn dataset() -> DatasetRow {
@@ -256,7 +256,7 @@ async fn tables_made_anew_lose_nothing() {
          INSERT INTO frames VALUES (5, 0, 1, 2, 0.5, x'0200');
          DELETE FROM trials WHERE id = 6;";
     let store = folder.open_from_before(3, &[EARLY_RUN, filled]).await;
-    store.integrity_check().await.unwrap();
+    is_intact(&store).await;
     let run = store.run_by_scan_id(1).await.unwrap().unwrap();
     assert_eq!((run.seed, run.rig.as_deref()), (Some(7), Some("r")));
     let trials = all(&store, run.uid).await;

@@ -107,6 +107,16 @@ async fn execute(store: &Store, sql: &'static str) {
     executing.await.unwrap();
 }
 
+/// Checks the structure of the file, its indexes and its references as SQLite does.
+async fn is_intact(store: &Store) {
+    let readers = &store.inner.readers;
+    let structure: Vec<String> =
+        sqlx::query_scalar("PRAGMA integrity_check").fetch_all(readers).await.unwrap();
+    assert_eq!(structure, ["ok"]);
+    let orphans = sqlx::query("PRAGMA foreign_key_check").fetch_all(readers).await.unwrap();
+    assert_eq!(orphans.len(), 0, "rows that refer to missing rows");
+}
+
 /// What an examination finds in a damaged file.
 async fn findings(store: &Store) -> Vec<String> {
     match store.examine(2000).await.unwrap() {

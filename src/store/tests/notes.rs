@@ -20,7 +20,8 @@ async fn a_record_whose_commit_failed_but_was_stored_is_not_stored_again() {
     let attempt = AttemptRecord { key, attempt: 1, reason: "cell 2: 0 V".into(), at };
     let tare =
         TareRecord { configuration: 3, volts: vec![(1, 0.501), (2, 0.4987)], samples: 4, at };
-    let skin = Untouched { voltages_v: vec![1.0, -1.0], at, frames: 4, run: Some(run) };
+    let (voltages_v, stream_since) = (vec![1.0, -1.0], Some(at));
+    let skin = Untouched { voltages_v, at, frames: 4, run: Some(run), stream_since };
     let press = ReferenceRecord {
         before_configuration: 0,
         reached: like.reached.unwrap(),

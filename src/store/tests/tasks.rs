@@ -3,7 +3,7 @@
 
 use serde_json::{Value, json};
 
-use super::{Folder, fresh, time};
+use super::{Folder, fresh, is_intact, time};
 use crate::ids::TaskId;
 use crate::{Store, TaskEnd, TaskKind, TaskRow, TaskState};
 
@@ -137,7 +137,7 @@ async fn exports_and_jobs_become_tasks() {
              ('job-0190a0a0-0000-7000-8000-000000000006', 'training', '{}', 'stopped', NULL, NULL,
                  NULL, 'ben', '2026-11-20T18:00:01.000Z', NULL, '2026-11-20T18:00:03.000Z');";
     let store = folder.open_from_before(8, &[filled]).await;
-    store.integrity_check().await.unwrap();
+    is_intact(&store).await;
     let exports = store.tasks(TaskKind::EXPORTS, 10, None).await.unwrap();
     let states: Vec<_> = exports.iter().map(|export| export.state).collect();
     assert_eq!(states, [TaskState::Waiting, TaskState::Failed, TaskState::Done]);

@@ -3,7 +3,9 @@
 
 use std::sync::Arc;
 
-use super::{EARLY_RUN, Folder, execute, hex_trial, new_run, now, random_trial, time, with_run};
+use super::{
+    EARLY_RUN, Folder, execute, hex_trial, is_intact, new_run, now, random_trial, time, with_run,
+};
 use crate::ids::{RunUid, TrialId, TrialKey};
 use crate::journal::Journal;
 use crate::record::{Flag, TrialScalars, Untouched};
@@ -143,7 +145,7 @@ async fn a_full_disk_is_an_error_and_later_trials_are_stored() {
     assert_eq!(store.progress(run).await.unwrap().stored.len(), stored as usize);
     // The writer opened a new connection, without the limit: there is space again.
     store.trial(run, &hex_trial(stored, 0, &[9.0, 3.0])).await.unwrap();
-    store.integrity_check().await.unwrap();
+    is_intact(&store).await;
 }
 
 #[tokio::test]
@@ -202,7 +204,7 @@ async fn a_trial_taken_back_keeps_its_record_and_frees_its_key() {
     let again = store.trial(run, &back).await.unwrap();
     assert!(again > id);
     store.discard(run, TrialKey { configuration: 9, depth_index: 9 }, "no").await.unwrap_err();
-    store.integrity_check().await.unwrap();
+    is_intact(&store).await;
 }
 
 #[tokio::test]
@@ -335,6 +337,7 @@ async fn a_trial_has_the_untouched_skin_that_was_measured_last_before_it() {
         at: started_at - jiff::SignedDuration::from_secs(before_s),
         frames: 4,
         run: Some(run),
+        stream_since: (before_s < 60).then_some(started_at),
     };
     let first = store.trial(run, &trial(0)).await.unwrap();
     assert!(store.untouched_before(&[first]).await.unwrap().is_empty());
@@ -380,13 +383,14 @@ async fn untouched_frames_of_an_earlier_version_are_placed_by_their_times() {
          VALUES (1, 1, '2026-11-20T18:00:03.000Z', 30, x'0000803f', 2896259690),
              (2, 1, '2026-11-20T18:00:05.000Z', 30, x'00000040', 1469619852);";
     let store = folder.open_from_before(25, &[EARLY_RUN, filled]).await;
-    store.integrity_check().await.unwrap();
+    is_intact(&store).await;
     let run = store.run_by_scan_id(1).await.unwrap().unwrap().uid;
     let skin = Untouched {
         voltages_v: vec![3.0],
         at: time("2026-11-20T17:00:00Z"),
         frames: 30,
         run: Some(run),
+        stream_since: None,
     };
     store.untouched(run, &skin).await.unwrap();
     let next = store.trial(run, &random_trial(3, 1)).await.unwrap();

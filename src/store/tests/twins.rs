@@ -1,7 +1,7 @@
 //! Twins: pending until they are stored, stored once, deleted with a discarded trial.
 //! Uses: `store`. Never: a model (the numbers here are invented).
 
-use super::{hex_trial, with_run};
+use super::{hex_trial, is_intact, with_run};
 use crate::ids::{TrialId, TrialKey};
 use crate::journal::Journal;
 use crate::{NewTwinModel, RunKind, Store, Twin, TwinModelId, TwinOutcome};
@@ -72,7 +72,7 @@ async fn what_is_pending_is_what_is_not_there() {
     let [fit] = &fits[..] else { panic!("one trial has a frame: {fits:?}") };
     assert_eq!((fit.trial, fit.fvu, fit.contact_count), (ids[0], Some(0.05), 1));
     assert!(fit.single_tip_mm.is_some());
-    store.integrity_check().await.unwrap();
+    is_intact(&store).await;
 }
 
 #[tokio::test]
@@ -88,5 +88,5 @@ async fn a_trial_that_was_taken_back_has_no_twin() {
     store.insert_twins(model, vec![frame(trial, 0.2), frame(other, 0.3)]).await.unwrap();
     let count = store.twin_count(run, model).await.unwrap();
     assert_eq!((count.trials, count.twins, count.pending()), (1, 1, 0));
-    store.integrity_check().await.unwrap();
+    is_intact(&store).await;
 }

@@ -28,57 +28,35 @@ const IMAGE_OPERATORS: [&str; 2] = ["Conv", "ConvTranspose"];
 /// Largest number of values of a tensor between two operations: 256 MiB.
 const TENSOR_NUMBERS_MAX: usize = 1 << 26;
 
-/// Why a file cannot become a plan, or frames cannot be answered.
+/// Why a file cannot become a plan, or frames cannot be answered; frames and channels count from 0.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[allow(missing_docs, reason = "the message names the fields")]
 pub enum PlanError {
     /// The file is rejected before it is loaded.
     #[error(transparent)]
     Onnx(#[from] OnnxError),
-    /// The engine does not support an operation.
     #[error("operator {operator}: not supported by the engine")]
     Operator { operator: String },
-    /// The net is for frames of another shape.
+    /// `found`: lengths, batch first; `None` is open.
     #[error(
         "input `{name}` takes {found:?}, must take any number of frames of {channels} channels"
     )]
-    Input {
-        /// Name of the tensor.
-        name: String,
-        /// Its lengths, batch first; `None` is open.
-        found: Vec<Option<usize>>,
-        /// Number of channels of the sensor.
-        channels: usize,
-    },
-    /// The answers have another shape.
+    Input { name: String, found: Vec<Option<usize>>, channels: usize },
     #[error("output `{name}` is {found} for {batch} frames, must be {wanted:?} for each")]
     Output { name: String, found: String, batch: usize, wanted: Vec<usize> },
-    /// The graph needs more memory than allowed.
     #[error("operation `{operation}` has {numbers} numbers: at most {TENSOR_NUMBERS_MAX}")]
     TooLarge { operation: String, numbers: String },
     /// The engine returned an error.
     #[error("{stage}: {cause}")]
     Refused { stage: &'static str, cause: String },
-    /// The engine panicked.
     #[error("{stage}: the engine panicked: {cause}")]
     Panicked { stage: &'static str, cause: String },
-    /// The length of the input is not a multiple of a frame's.
     #[error("{numbers} numbers: must be frames of {channels} channels")]
     Frames { numbers: usize, channels: usize },
-    /// A value of a frame is not finite.
     #[error("frame {frame}, channel {channel}: not a finite number")]
-    NotFinite {
-        /// Index of the frame, from 0.
-        frame: usize,
-        /// Index of the channel, from 0.
-        channel: usize,
-    },
-    /// The net's answer to a frame is not finite: its numbers overflow.
+    NotFinite { frame: usize, channel: usize },
     #[error("frame {frame}: the net's answer is not finite")]
-    NoAnswer {
-        /// Index of the frame, from 0.
-        frame: usize,
-    },
+    NoAnswer { frame: usize },
 }
 
 /// A net prepared for frames of one length, with answers of one shape.

@@ -41,8 +41,27 @@ struct Means {
     count: usize,
     /// What the offsets of the next frame differ by from that mean.
     scatter: Scatter,
-    /// Wall time, ms, and offsets of the pairs, V, of all frames of the run, oldest first.
-    frames: Vec<(i64, Vec<f64>)>,
+    /// All frames of the run, oldest first.
+    frames: Vec<Offsets>,
+}
+
+/// Offsets in a frame of the untouched skin.
+#[derive(Debug, Clone)]
+struct Offsets {
+    /// Wall time of the frame, ms.
+    at_ms: i64,
+    /// Wall time since which its stream was open, ms; none if it is not known.
+    stream_since_ms: Option<i64>,
+    /// Of the pairs, V.
+    of_pairs_v: Vec<f64>,
+}
+
+impl Offsets {
+    fn of(skin: &Untouched) -> Self {
+        let (at_ms, of_pairs_v) = (skin.at.as_millisecond(), pairs_of(skin));
+        let stream_since_ms = skin.stream_since.map(|since| since.as_millisecond());
+        Self { at_ms, stream_since_ms, of_pairs_v }
+    }
 }
 
 impl Tared {
@@ -60,8 +79,7 @@ impl Tared {
         let Some((count, scatter)) = Scatter::of_best_means(&first(&frames)) else {
             return Ok(tared);
         };
-        let of = |skin: &Untouched| (skin.at.as_millisecond(), pairs_of(skin));
-        let means = Means { count, scatter, frames: frames.iter().map(of).collect() };
+        let means = Means { count, scatter, frames: frames.iter().map(Offsets::of).collect() };
         Ok(Self { means: Some(means), ..tared })
     }
 
@@ -86,12 +104,15 @@ impl Tared {
         };
         let Some(Means { count, scatter, frames }) = &self.means else { return one };
         let at_ms = skin.at.as_millisecond();
-        let Some(own) = frames.iter().rposition(|(at, _)| *at == at_ms) else { return one };
-        let is_recent = |(at, _): &&(i64, Vec<f64>)| {
-            self.hours(1e-3 * at_ms.abs_diff(*at) as f64) < MEAN_WITHIN_HOURS
+        let Some(own) = frames.iter().rposition(|frame| frame.at_ms == at_ms) else { return one };
+        let stream_since_ms = frames[own].stream_since_ms;
+        // A stream that was opened again, or whose device has restarted, may have other offsets.
+        let is_like = |frame: &&Offsets| {
+            frame.stream_since_ms == stream_since_ms
+                && self.hours(1e-3 * at_ms.abs_diff(frame.at_ms) as f64) < MEAN_WITHIN_HOURS
         };
-        let last = frames[..=own].iter().rev().take(*count).take_while(is_recent);
-        let offsets: Vec<Vec<f64>> = last.map(|(_, offsets)| offsets.clone()).collect();
+        let last = frames[..=own].iter().rev().take(*count).take_while(is_like);
+        let offsets: Vec<Vec<f64>> = last.map(|frame| frame.of_pairs_v.clone()).collect();
         let better_v: Vec<f64> =
             mean(&offsets).iter().zip(pairs_of(skin)).map(|(mean, own)| mean - own).collect();
         let moved = skin.voltages_v.iter().zip(better_v.iter().cycle());
@@ -156,7 +177,8 @@ mod tests {
     fn skin(minutes: i64, offset_v: f32, of_channel_v: f32) -> Untouched {
         let voltages_v = vec![offset_v + of_channel_v, 0.0, offset_v - of_channel_v, 0.0];
         let at = format!("2026-11-28T{:02}:{:02}:00Z", minutes / 60, minutes % 60);
-        Untouched { voltages_v, at: at.parse().unwrap(), frames: 4, run: None }
+        let at = at.parse().unwrap();
+        Untouched { voltages_v, at, frames: 4, run: None, stream_since: None }
     }
 
     #[test]
@@ -164,7 +186,7 @@ mod tests {
         let of = |sd_v: f64| Scatter { sd_v, spectrum: Vec::new() };
         let skins =
             [(0, 8.0), (70, 1.0), (71, 3.0), (72, 5.0), (73, 9.0)].map(|(at, v)| skin(at, v, 0.5));
-        let frames = skins.iter().map(|s| (s.at.as_millisecond(), pairs_of(s))).collect();
+        let frames = skins.iter().map(Offsets::of).collect();
         let tared = Tared {
             clock_rate: 1.0,
             scatter: Some(of(1.0)),
@@ -180,6 +202,12 @@ mod tests {
         // The frame of 70 minutes before has drifted; the scatter of a mean of three does not hold for two.
         let zero = tared.before(&skins[2], 0.0);
         assert_eq!((zero.voltages_v[0], zero.frames, zero.scatter), (2.5, 8.0, Some(of(1.0))));
+        // Between 71 and 72 minutes the stream was opened again.
+        let mut again = tared.clone();
+        let means = again.means.as_mut().unwrap();
+        means.frames[3..].iter_mut().for_each(|frame| frame.stream_since_ms = Some(0));
+        let zero = again.before(&skins[3], 36.0);
+        assert_eq!((zero.voltages_v[0], zero.frames, zero.scatter), (5.5, 4.0, Some(of(1.0))));
         let alone = Tared { means: None, ..tared };
         assert_eq!(alone.before(&skins[3], 0.0).voltages_v, skins[3].voltages_v);
     }

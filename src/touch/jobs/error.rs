@@ -15,7 +15,6 @@ pub type JobResult<T> = Result<T, JobError>;
 #[derive(Debug, thiserror::Error)]
 #[allow(missing_docs, reason = "the message names the fields")]
 pub enum JobError {
-    /// Values of the request are invalid.
     #[error("{}", listed(.0))]
     Problems(Vec<Problem>),
     #[error("the queue is full with {0} jobs: stop some, or request again when some have ended")]

@@ -232,13 +232,8 @@ pub(super) fn result(folder: &Path, order: &Order, name: String) -> JobResult<Ne
     let same =
         manifest.model.recipe.as_ref() == Some(&order.recipe) && manifest.model.code == order.code;
     if !same {
-        return Err(LearnError::value(
-            "training",
-            "result",
-            MANIFEST,
-            "is not of this recipe and code",
-        )
-        .into());
+        let limit = "is not of this recipe and code";
+        return Err(LearnError::value("training", "result", MANIFEST, limit).into());
     }
     let residuals = match fs::read(path(RESIDUALS)) {
         Ok(bytes) => Some(serde_json::from_slice(&bytes).map_err(JobError::Json)?),

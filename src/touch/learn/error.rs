@@ -13,25 +13,18 @@ use crate::store::StoreError;
 #[derive(Debug, thiserror::Error)]
 #[allow(missing_docs, reason = "the message names the fields")]
 pub enum LearnError {
-    /// Values of the request are invalid.
     #[error("{}", listed(.0))]
     Problems(Vec<Problem>),
-    /// The dataset is not available.
     #[error(transparent)]
     Dataset(#[from] DatasetError),
-    /// The store failed.
     #[error(transparent)]
     Store(#[from] StoreError),
-    /// Rows of the dataset could not be read.
     #[error(transparent)]
     Rows(#[from] RowsError),
-    /// The training failed.
     #[error(transparent)]
     Train(#[from] nets::error::TrainError),
-    /// The trained net cannot become a model.
     #[error(transparent)]
     Model(#[from] super::model_file::ModelError),
-    /// A file could not be read or written.
     #[error("{operation} {}: {source}", path.display())]
     File { operation: &'static str, path: PathBuf, source: io::Error },
 }

@@ -186,12 +186,8 @@ impl Examples {
                 .ok_or_else(|| LearnError::value("dataset", "column", name, DIFFERENT_LENGTHS))?;
             if frame.null_count() > 0 {
                 let rows = format!("{name} of {} rows", frame.null_count());
-                return Err(LearnError::value(
-                    "dataset",
-                    "column",
-                    rows,
-                    "is missing: exclude these rows",
-                ));
+                let limit = "is missing: exclude these rows";
+                return Err(LearnError::value("dataset", "column", rows, limit));
             }
             frames.push(frame);
         }

@@ -85,10 +85,8 @@ pub enum Source {
 #[derive(Debug, thiserror::Error)]
 #[allow(missing_docs, reason = "the message names the fields")]
 pub enum OrderError {
-    /// The text is not an order.
     #[error("{ORDER}: {0}")]
     Json(#[from] serde_json::Error),
-    /// It was written by another version of the service.
     #[error(
         "{ORDER}: version = {found}: this trainer is of version {ORDER_VERSION}; install service and \
          trainer of the same version"

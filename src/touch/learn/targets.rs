@@ -49,12 +49,8 @@ impl Targets {
             if places.len() > PLACES_MAX {
                 let limit = "has too many places of contacts for a pattern, 4096 at most: answer the \
                              position, or a force map";
-                return Err(LearnError::value(
-                    "dataset",
-                    "places",
-                    format!("over {PLACES_MAX}"),
-                    limit,
-                ));
+                let found = format!("over {PLACES_MAX}");
+                return Err(LearnError::value("dataset", "places", found, limit));
             }
         }
         if places.is_empty() {

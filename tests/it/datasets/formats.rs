@@ -172,6 +172,20 @@ async fn a_split_of_the_file_and_a_split_by_run_are_obeyed() {
         assert_eq!(tests, vec![run; trials]);
         assert!(found.iter().any(|(.., part)| part == "train"), "{found:?}");
     }
+    // If one cannot be made, those before it are named: `two` is now a run of this name and another one.
+    std::fs::write(files.join("three.csv"), table(20, "")).unwrap();
+    let more = ["--name", "two", "--json"];
+    let third = support::done(&import(&lab, &files, "three.csv", &more).await);
+    let scan = third["run"]["scan_id"].to_string();
+    let batches = batches.replace("\"one\"", &format!("\"{scan}\""));
+    std::fs::write(files.join("all.toml"), batches).unwrap();
+    let mut command = Command::new(PALPATE);
+    command.current_dir(&*files).args(["dataset", "make", "all.toml", "--each-run"]);
+    command.args(["--url", &lab.url("")]);
+    let output = support::finished(command).await;
+    support::not_done(&output, 1, "without-two was not made: ");
+    support::not_done(&output, 1, "must leave at least one");
+    support::not_done(&output, 1, &format!("made before it: without-{scan} ds-"));
     // Equal tags are in the same part, rows without a tag are excluded, and tags are conditions.
     let mut tagged = "v0,v1,v2,v3,v4,v5,x_mm,y_mm,tag\n".to_owned();
     for n in 0..50 {

@@ -190,6 +190,26 @@ async fn every_command_trains_scores_and_writes_what_it_is_for() {
     assert_eq!((&table["dataset"], &table["split_by"]), (&"real".into(), &"configuration".into()));
     let head = ["net", "rows", "wrong by", "median", "right %", "of ridge"];
     assert_eq!(rows(&data, "quantity-count", &head), 4);
+    // Each of two batches is excluded in turn.
+    let batches = "name = \"without\"\ntask = \"real\"\nruns = [\"made-up-hex\", \"made-up-tips\"]\n\
+                   [split]\nby = \"run\"\nratio = [4, 1, 0]\n";
+    fs::write(data.join("batches.toml"), batches).unwrap();
+    succeeded(&palpate(&data, &["dataset", "make", "batches.toml", "--each-run"]));
+    let [hex, tips] = ["without-made-up-hex", "without-made-up-tips"];
+    let table = evaluate(&data, "quantity", &all(&["count", "--dataset", hex, "--dataset", tips]));
+    let of_each = table["datasets"].as_array().unwrap();
+    let names: Vec<&str> = of_each.iter().map(|one| one["dataset"].as_str().unwrap()).collect();
+    assert_eq!(names, [hex, tips]);
+    let is_whole = |one: &Value| one["split_by"] == "run" && one["verdicts"][1].is_string();
+    assert!(of_each.iter().all(is_whole), "{of_each:?}");
+    let mean = &table["nets"][2];
+    assert_eq!((&mean["name"], &mean["scores"]["rows"]), (&"mlp".into(), &40.into()));
+    assert_eq!(mean["scores"]["error"]["n"], 2, "one of each dataset");
+    assert!(table["verdicts"][0].as_str().unwrap().ends_with(" of 2 datasets)."), "{table}");
+    assert_eq!(rows(&data, "quantity-count", &head), 4 * 3, "the mean, and both datasets");
+    let twice = ["evaluate", "quantity", "count", "--dataset", hex, "--dataset", hex];
+    let words = String::from_utf8(palpate(&data, &twice).stderr).unwrap();
+    assert!(words.contains("dataset = without-made-up-hex: must be named once"), "{words}");
 
     let table = evaluate(&data, "quantity", &all(&["force", "--by-trial"]));
     let split = (&table["dataset"], &table["split_by"]);
@@ -285,6 +305,23 @@ async fn fig_12_is_made_of_imported_trials_of_another_skin() {
     let refused = palpate(&data, &["evaluate", "unseen", "--ours", "--dataset", "pad"]);
     let words = String::from_utf8_lossy(&refused.stderr);
     assert!(!refused.status.success() && words.contains("the rig's sensor"), "{words}");
+}
+
+#[tokio::test]
+async fn the_map_of_a_carried_recipe_follows_the_skin_and_that_of_a_file_does_not() {
+    let data = folder("evaluate-scaled");
+    pad(&data).await;
+    let trained = |recipe: &str| -> String {
+        let printed = succeeded(&palpate(&data, &["train", recipe, "--dataset", "pad", "--json"]));
+        let last: Value = serde_json::from_str(printed.lines().last().unwrap()).unwrap();
+        last["model"]["manifest"]["recipe"].as_str().unwrap().to_owned()
+    };
+    let recipe = trained("end-to-end-ridge");
+    assert!(recipe.contains("map = \"0.72x3.6x115.2\""), "{recipe}");
+    let carried = succeeded(&palpate(&data, &["train", "end-to-end-ridge", "--show"]));
+    fs::write(data.join("mine.toml"), carried.replace("\"end-to-end-ridge\"", "\"mine\"")).unwrap();
+    let recipe = trained("mine.toml");
+    assert!(recipe.contains("map = \"4x20\""), "{recipe}");
 }
 
 #[tokio::test]

@@ -75,13 +75,11 @@ pub struct Touch {
 #[derive(Debug, thiserror::Error)]
 #[allow(missing_docs, reason = "the message names the fields")]
 pub enum LaminateError {
-    /// A value of the laws is outside its limits.
     #[error(transparent)]
     Laws(#[from] ValueError),
     /// A system of equations has no solution.
     #[error("{part}: {why}")]
     Solve { part: &'static str, why: String },
-    /// Newton's method did not converge.
     #[error(
         "press: no equilibrium after {steps} steps: the largest residual is {residual_n} N \
          under {force_n} N"

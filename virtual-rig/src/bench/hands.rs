@@ -7,20 +7,16 @@ use crate::config::{ARMS, AxisName};
 
 /// Reason why an action of the operator was refused.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+#[allow(missing_docs, reason = "the message names the fields")]
 pub enum Refusal {
-    /// Tips are in contact.
     #[error("tips are pressing: raise z first")]
     Pressing,
-    /// The number of tips is more than the number of arms.
     #[error("tips must be 0 to 6")]
     Tips,
-    /// The number of connected cells is less than that of tips, or more than that of arms.
     #[error("powered must be from tips to 6")]
     Powered,
-    /// A weight is not on the skin.
     #[error("a weight must be on the skin")]
     OffSkin,
-    /// The force of a weight is not positive, or too large.
     #[error("a weight's force_n must be positive and at most 1000")]
     Force,
 }

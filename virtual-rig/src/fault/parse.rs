@@ -13,7 +13,6 @@ pub enum FaultError {
     /// The text is not TOML (or JSON), or has a key or a type that a fault does not have.
     #[error("{0}")]
     Syntax(String),
-    /// A value of a fault is not valid.
     #[error("fault {index}: {key} = {value}: {limit}")]
     Value { index: usize, key: &'static str, value: String, limit: String },
 }
@@ -76,6 +75,14 @@ impl FaultEntry {
         FaultError::Value { index, key, value, limit: limit.to_owned() }
     }
 
+    /// A value that the kind needs, from 1 to `most`.
+    fn needed(&self, key: &'static str, value: Option<u64>, most: u64) -> Result<u64, FaultError> {
+        value.filter(|value| (1..=most).contains(value)).ok_or_else(|| {
+            let shown = value.map_or(String::new(), |value| value.to_string());
+            self.bad(key, shown, &format!("is needed: 1 to {most}"))
+        })
+    }
+
     fn arm(&self) -> Result<usize, FaultError> {
         match self.arm {
             Some(arm) if (1..=ARMS as u8).contains(&arm) => Ok(usize::from(arm) - 1),
@@ -112,20 +119,14 @@ impl FaultEntry {
         Ok(match self.kind.as_str() {
             "no_reply" => Kind::Wire(WireFault::NoReply { executed }),
             "disconnect" => Kind::Wire(WireFault::Disconnect { executed }),
-            "exception" => match self.code {
-                Some(code @ 1..=255) => Kind::Wire(WireFault::Exception(code as u8)),
-                code => {
-                    let shown = code.map_or(String::new(), |c| c.to_string());
-                    return Err(self.bad("code", shown, "is needed: 1 to 255"));
-                }
-            },
-            "late_reply" => match self.delay_ms {
-                Some(delay_ms @ 1..=60_000) => Kind::Wire(WireFault::Late { delay_ms }),
-                delay => {
-                    let shown = delay.map_or(String::new(), |d| d.to_string());
-                    return Err(self.bad("delay_ms", shown, "is needed: 1 to 60000"));
-                }
-            },
+            "exception" => {
+                let code = self.needed("code", self.code.map(u64::from), 255)?;
+                Kind::Wire(WireFault::Exception(code as u8))
+            }
+            "late_reply" => {
+                let delay_ms = self.needed("delay_ms", self.delay_ms, 60_000)?;
+                Kind::Wire(WireFault::Late { delay_ms })
+            }
             "garbled_reply" => Kind::Wire(WireFault::Garbled(self.part.unwrap_or(Part::Header))),
             "stuck_axis" => Kind::StuckAxis { alarm_after_s: self.alarm_after_s },
             "alarm" => Kind::Alarm { code: self.code.unwrap_or(0xFF) },

@@ -76,16 +76,12 @@ pub enum OperatorError {
     /// The runtime or the signal handlers could not be created.
     #[error(transparent)]
     Start(#[from] RunError),
-    /// The mistakes are not possible.
     #[error(transparent)]
     Hand(#[from] NoHand),
-    /// TLS could not be set up.
     #[error("TLS: {0}")]
     Tls(#[source] rustls::Error),
-    /// The HTTP client could not be built.
     #[error("HTTP client: {0}")]
     Client(#[source] reqwest::Error),
-    /// The service does not answer, or has ended.
     #[error(
         "no answer of a palpate service at {url} for {after_s:.0} s: {why}; name its address with --url"
     )]

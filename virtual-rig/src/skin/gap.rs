@@ -192,11 +192,7 @@ impl Gap {
             require("mechanics.tip_offsets_mm", value, true, "must be numbers")?;
         }
         let share = self.mechanics.unloading_softer;
-        require(
-            "mechanics.unloading_softer",
-            share,
-            (0.0..1.0).contains(&share),
-            "must be in [0, 1)",
-        )
+        let ok = (0.0..1.0).contains(&share);
+        require("mechanics.unloading_softer", share, ok, "must be in [0, 1)")
     }
 }

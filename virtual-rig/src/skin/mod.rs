@@ -37,17 +37,14 @@ const LUT_GRID: LutGrid = LutGrid { step_mm: 0.01, end_mm: 30.0 };
 
 /// Reason why a skin cannot be built.
 #[derive(Debug, thiserror::Error)]
+#[allow(missing_docs, reason = "the message names the fields")]
 pub enum SkinError {
-    /// The elastic solution failed.
     #[error(transparent)]
     Responses(#[from] ResponsesError),
-    /// The model could not be built.
     #[error(transparent)]
     Model(#[from] ModelError),
-    /// The law of the foam is not monotonic.
     #[error("gap: foam law: {0}")]
     Foam(#[from] LutError),
-    /// A skin of another physics has an invalid law, or no solution.
     #[error("gap: laminate: {0}")]
     Laminate(#[from] laminate::LaminateError),
 }

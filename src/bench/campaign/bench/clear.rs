@@ -1,21 +1,21 @@
 //! z is up, and no cell reads a load: checks before another axis moves or homes, and while it does; and before a person
 //! tares.
-//! Uses: `campaign::{bench::stage, bench::travel, bench::interlock, bench::sound, bench::rig_state, run::control}`.
+//! Uses: `campaign::{bench::stage, bench::travel, bench::interlock, bench::sound, bench::not_clear, run::control}`.
 //! Never: the plan, storage, a motion.
 
 use futures::future::try_join;
 use tokio::time::Instant;
 
 use crate::campaign::bench::interlock::{self, TripKind};
-use crate::campaign::bench::rig_state::RigState;
+use crate::campaign::bench::not_clear::NotClear;
 use crate::campaign::bench::sound::{require_no_alarm, require_on, require_zero};
 use crate::campaign::bench::stage::{AxisName, BEYOND_TRAVEL, Driven, Stage};
 use crate::campaign::run::control::Control;
 use crate::campaign::run::halt::Halt;
 use crate::rig::traits::AxisStatus;
 
-/// Distance that z may sink during a lateral motion, beyond its tolerance, mm: more than an encoder jitters at rest, and
-/// less than the smallest clearance of a rig file (0.5 mm).
+/// Distance that z may sink during a lateral motion and the tare after it, beyond its tolerance, mm: more than an
+/// encoder jitters at rest, and less than the smallest clearance of a rig file (0.5 mm).
 const SINKS_MM: f64 = 0.2;
 
 impl Stage {
@@ -26,6 +26,11 @@ impl Stage {
         self.require_within(AxisName::Z, &z, BEYOND_TRAVEL)?;
         require_no_alarm(self.bench.z.as_ref(), &z)?;
         Ok(z)
+    }
+
+    /// Position below which z, once it was measured clear, has sunk, machine mm.
+    pub(super) fn sunk_mm(&self) -> f64 {
+        self.clear_z_mm() + self.driven(AxisName::Z).tolerance + SINKS_MM
     }
 
     /// Checks before each start of a lateral motion or homing, and during it, that z has stayed up with its motor on (a
@@ -42,10 +47,10 @@ impl Stage {
     ) -> Result<(), Halt> {
         let Some(last) = clear_at else { return Ok(()) };
         let is_up = async {
-            let (z, clear) = (self.known_z().await?, self.clear_z_mm());
+            let z = self.known_z().await?;
             require_on(self.bench.z.as_ref(), &z)?;
-            let at = z.position;
-            if at > clear + self.driven(AxisName::Z).tolerance + SINKS_MM {
+            if z.position > self.sunk_mm() {
+                let (at, clear) = (z.position, self.clear_z_mm());
                 let detail =
                     format!("z sank to {at:.3} mm during a lateral motion, clear at {clear:.3}");
                 return Err(Halt::trip(TripKind::Position, detail));
@@ -109,27 +114,30 @@ impl Stage {
     /// request meanwhile.
     pub(super) async fn require_clear_to_tare(&self, control: &mut Control) -> Result<(), Halt> {
         let z = control.attending(self.read_ready(&[AxisName::Z])).await??[0];
+        match self.not_clear(&z) {
+            Some(why) => Err(Halt::Failed(why.refuses_tare(control.rig()))),
+            None => Ok(()),
+        }
+    }
+
+    /// Why this reading of z does not permit a tare that a person requests; none if it does.
+    pub(in crate::campaign) fn not_clear(&self, z: &AxisStatus) -> Option<NotClear> {
         let Driven { axis, tolerance, .. } = self.driven(AxisName::Z);
-        let (at, limit) = (z.position, self.clear_z_mm() + tolerance);
-        let sound = require_no_alarm(axis, &z)
-            .and_then(|()| require_on(axis, &z))
-            .and_then(|()| self.require_within(AxisName::Z, &z, BEYOND_TRAVEL));
-        let why = if !z.homed {
-            "z is not homed, and its position is not known".to_owned()
-        } else if let Err(halt) = sound {
-            halt.as_trip().map_or_else(String::new, |trip| trip.detail.clone())
-        } else if z.moving {
-            format!("z still moves, at {at:.3} mm")
-        } else if at > limit {
-            format!("z at {at:.3} mm, limit {limit:.3} mm to be clear of the skin")
-        } else {
-            return Ok(());
-        };
-        let (rig, next) = match control.rig() {
-            rig @ RigState::Homed => (rig.as_str(), "raise z first (palpate rig home)"),
-            rig => (rig.as_str(), rig.next()),
-        };
-        Err(Halt::Failed(format!("tare is not possible: {why}; the rig is {rig}: {next}")))
+        let (at_mm, limit_mm) = (z.position, self.clear_z_mm() + tolerance);
+        let sound = require_no_alarm(axis, z)
+            .and_then(|()| require_on(axis, z))
+            .and_then(|()| self.require_within(AxisName::Z, z, BEYOND_TRAVEL));
+        if !z.homed {
+            return Some(NotClear::NotHomed);
+        }
+        if let Err(halt) = sound {
+            let words = halt.as_trip().map_or_else(String::new, |trip| trip.detail.clone());
+            return Some(NotClear::Faulty(words));
+        }
+        if z.moving {
+            return Some(NotClear::Moving { at_mm });
+        }
+        (at_mm > limit_mm).then_some(NotClear::Low { at_mm, limit_mm })
     }
 
     /// The oldest of the last sample and of the readings that showed z clear.

@@ -322,7 +322,7 @@ mod tests {
     use tokio::task::JoinHandle;
 
     use super::*;
-    use crate::campaign::bench::stand_in::StandIns;
+    use crate::campaign::bench::stand_in::{self, StandIns};
 
     /// A switch, axes, and the task that sends them its stops; the end of a test ends it.
     fn served() -> (StopSwitch, StandIns, JoinHandle<()>) {
@@ -333,16 +333,9 @@ mod tests {
 
     /// Waits until every axis has acknowledged the stop of the first press, and `stops` were received.
     async fn acknowledged(stop: &StopSwitch, axes: &StandIns, stops: u64) -> f64 {
-        let wait = async {
-            loop {
-                let known = stop.pressed().and_then(|press| press.acknowledged_ms());
-                match known.filter(|_| axes.stops() >= stops) {
-                    Some(ms) => return ms,
-                    None => tokio::time::sleep(Duration::from_millis(1)).await,
-                }
-            }
-        };
-        tokio::time::timeout(Duration::from_secs(10), wait).await.expect("the stops are sent")
+        let known = || stop.pressed().and_then(|press| press.acknowledged_ms());
+        stand_in::until(|| axes.stops() >= stops && known().is_some()).await;
+        known().expect("it is acknowledged")
     }
 
     #[tokio::test]
@@ -362,12 +355,7 @@ mod tests {
         axes.x.replies.store(false, Ordering::SeqCst);
         for stops in [3, 6] {
             stop.press("silent");
-            let sent = async {
-                while axes.stops() < stops {
-                    tokio::time::sleep(Duration::from_millis(1)).await;
-                }
-            };
-            tokio::time::timeout(Duration::from_secs(10), sent).await.expect("the stops are sent");
+            stand_in::until(|| axes.stops() >= stops).await;
             assert_eq!(stop.pressed().unwrap().acknowledged_ms(), None);
         }
         axes.x.replies.store(true, Ordering::SeqCst);
@@ -376,12 +364,7 @@ mod tests {
 
     /// Waits until this holds for the stops of the latched press.
     async fn until(stop: &StopSwitch, done: impl Fn(&[AxisStop]) -> bool) {
-        let wait = async {
-            while !stop.pressed().is_some_and(|press| done(&press.stops())) {
-                tokio::time::sleep(Duration::from_millis(1)).await;
-            }
-        };
-        tokio::time::timeout(Duration::from_secs(20), wait).await.expect("it comes to pass");
+        stand_in::until(|| stop.pressed().is_some_and(|press| done(&press.stops()))).await;
     }
 
     /// Whether every axis stands.

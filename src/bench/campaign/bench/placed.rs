@@ -21,21 +21,31 @@ impl Stage {
     /// # Errors
     /// Halts if a device does not reply.
     pub async fn pose(&self) -> Result<Pose, Halt> {
-        Ok(pose_of(&self.config, &read(&self.bench).await?))
+        self.pose_and_z().await.map(|(pose, _)| pose)
     }
 
-    /// Checks before z presses that the other axes still are over this place: the tare took a while. `over`: z is not
-    /// compared.
+    /// As [`Self::pose`], with the reading of z.
+    ///
+    /// # Errors
+    /// As `pose`.
+    pub async fn pose_and_z(&self) -> Result<(Pose, AxisStatus), Halt> {
+        let axes = read(&self.bench).await?;
+        Ok((pose_of(&self.config, &axes), axes[2]))
+    }
+
+    /// Checks before z presses that the other axes still are over this place, and that z has not sunk: the tare took a
+    /// while, and the load on a tip that touches would be in its zeros. `over`: z is not compared.
     ///
     /// # Errors
     /// Trips if one is not, or if an axis has an alarm, no zero or its motor off; halts if a device does not reply, or on
     /// a request.
     pub async fn require_over(&self, control: &mut Control, over: &Pose) -> Result<(), Halt> {
-        let placed = reached(&self.bench, &self.config, &self.clock, over, None);
+        let z = OfZ::Clear { sunk_mm: self.sunk_mm() };
+        let placed = reached(&self.bench, &self.config, &self.clock, over, z);
         control.attending(placed).await?.map(drop)
     }
 
-    /// As [`Self::require_over`], while a tip touches: checks the cells meanwhile.
+    /// As [`Self::require_over`], while a tip touches: checks the cells meanwhile, and not the height of z.
     ///
     /// # Errors
     /// As `require_over` and `watch_while`.
@@ -44,7 +54,7 @@ impl Stage {
         control: &mut Control,
         over: &Pose,
     ) -> Result<(), Halt> {
-        self.reached_while(control, over, None).await.map(drop)
+        self.reached_while(control, over, OfZ::Touching).await.map(drop)
     }
 
     /// Reads the positions of all axes while a load is held, compares them with their targets, and checks the cells
@@ -58,36 +68,47 @@ impl Stage {
         control: &mut Control,
         target: &Pose,
     ) -> Result<Pose, Halt> {
-        self.reached_while(control, target, Some(target.z_mm)).await
+        self.reached_while(control, target, OfZ::At { z_mm: target.z_mm }).await
     }
 
     async fn reached_while(
         &mut self,
         control: &mut Control,
         target: &Pose,
-        z_mm: Option<f64>,
+        z: OfZ,
     ) -> Result<Pose, Halt> {
         let (bench, config, clock) = (self.bench.clone(), self.config.clone(), self.clock.clone());
-        let reads = reached(&bench, &config, &clock, target, z_mm);
+        let reads = reached(&bench, &config, &clock, target, z);
         self.watch_while(control, reads).await?
     }
 }
 
+/// Where z must be, machine mm.
+#[derive(Debug, Clone, Copy)]
+enum OfZ {
+    /// A tip touches: z is not compared.
+    Touching,
+    /// At this height.
+    At { z_mm: f64 },
+    /// Clear of the skin, not lower than this.
+    Clear { sunk_mm: f64 },
+}
+
 /// Reads the axes and checks them. If one is not as it must be, all are read again: Modbus TCP has no checksum, and a
-/// flipped bit does not recur. `z_mm`: target of z; none if z is not compared.
+/// flipped bit does not recur.
 async fn reached(
     bench: &Bench,
     config: &RigConfig,
     clock: &Clock,
     target: &Pose,
-    z_mm: Option<f64>,
+    z: OfZ,
 ) -> Result<Pose, Halt> {
     let axes = read_ready(clock, || read(bench)).await?;
-    let first = checked(bench, config, &axes, target, z_mm);
+    let first = checked(bench, config, &axes, target, z);
     if first.is_ok() {
         return first;
     }
-    checked(bench, config, &read(bench).await?, target, z_mm)
+    checked(bench, config, &read(bench).await?, target, z)
 }
 
 fn checked(
@@ -95,7 +116,7 @@ fn checked(
     config: &RigConfig,
     axes: &[AxisStatus; 4],
     target: &Pose,
-    z_mm: Option<f64>,
+    z: OfZ,
 ) -> Result<Pose, Halt> {
     for (axis, status) in [&bench.x, &bench.y, &bench.z, &bench.radial].into_iter().zip(axes) {
         require_no_alarm(axis.as_ref(), status)?;
@@ -103,7 +124,17 @@ fn checked(
         require_on(axis.as_ref(), status)?;
     }
     let pose = pose_of(config, axes);
-    let target = Pose { z_mm: z_mm.unwrap_or(pose.z_mm), ..*target };
+    let z_mm = match z {
+        OfZ::At { z_mm } => z_mm,
+        OfZ::Clear { sunk_mm } if pose.z_mm > sunk_mm => {
+            let at = pose.z_mm;
+            let detail =
+                format!("z sank to {at:.3} mm before a press, limit {sunk_mm:.3} mm to be clear");
+            return Err(Halt::trip(TripKind::Position, detail));
+        }
+        OfZ::Clear { .. } | OfZ::Touching => pose.z_mm,
+    };
+    let target = Pose { z_mm, ..*target };
     match interlock::off_target(config, &pose, &target) {
         Some(words) => Err(Halt::trip(TripKind::Position, words)),
         None => Ok(pose),

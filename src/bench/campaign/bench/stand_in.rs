@@ -1,6 +1,6 @@
 //! Stand-ins for unit tests: axes, cells and a skin that obey the test, without wires or time, and a journal
 //! that takes everything.
-//! Uses: `rig::traits`, `journal`. Never: in a program.
+//! Uses: `rig::traits`, `journal`, `run::job`, the plans of `schedule::tests`. Never: in a program.
 
 use std::collections::BTreeSet;
 use std::sync::Arc;
@@ -15,23 +15,38 @@ use tokio::sync::broadcast;
 use tokio::time::Instant;
 
 use crate::campaign::bench::stage::Stage;
+use crate::campaign::run::job::Job;
 use crate::clock::Clock;
 use crate::ids::{RunUid, TrialId, TrialKey};
 use crate::journal::{Event, ExitStatus, Journal, JournalError, Mounting, Progress};
 use crate::record::{
-    ARMS, AttemptRecord, ReferenceRecord, TareRecord, TouchOffRecord, TrialRecord, Untouched,
+    ARMS, AttemptRecord, Flag, ReferenceRecord, TareRecord, TouchOffRecord, TrialRecord, Untouched,
 };
 use crate::rig::config::{Guard, RigConfig};
 use crate::rig::error::RigError;
 use crate::rig::traits::{
     Axis, AxisStatus, Bench, CellVolts, Found, Frame, LoadCells, SkinReader, StreamCounters,
 };
+use crate::schedule::tests::{hex, planned};
 use crate::state::StateChange;
 
 /// The rig file of the stand-ins.
 pub fn config() -> RigConfig {
     let text = include_str!("../../../../experiments/rigs/virtual.toml");
     RigConfig::from_toml("virtual.toml", text).expect("the virtual rig file is sound")
+}
+
+/// A run of one tip.
+pub fn job() -> Job {
+    Job {
+        run: RunUid::new(),
+        scan_id: 1,
+        plan: planned(&hex(3, "tips = [1]\nconfigurations = 2\ndepths = 2\n")),
+        predicted_trial_s: 1.0,
+        auto_resume: true,
+        has_waited: false,
+        bytes_per_trial: 4000,
+    }
 }
 
 /// An axis that reaches each target at once.
@@ -104,9 +119,7 @@ impl StandIn {
 
     /// Waits until a motion or homing of it was started.
     pub async fn started(&self) {
-        while self.starts.load(Ordering::SeqCst) == 0 {
-            tokio::time::sleep(Duration::from_millis(1)).await;
-        }
+        until(|| self.starts.load(Ordering::SeqCst) > 0).await;
     }
 
     fn reply(&self, operation: &str) -> Result<(), RigError> {
@@ -127,6 +140,21 @@ impl StandIn {
         *self.status.lock() = self.after_start.lock().take().unwrap_or(reached);
         Ok(())
     }
+}
+
+/// The output of what must end, also on a loaded machine.
+pub async fn soon<T>(work: impl Future<Output = T>) -> T {
+    tokio::time::timeout(Duration::from_secs(60), work).await.expect("it ends in time")
+}
+
+/// Waits until this holds.
+pub async fn until(holds: impl Fn() -> bool) {
+    let wait = async {
+        while !holds() {
+            tokio::time::sleep(Duration::from_millis(1)).await;
+        }
+    };
+    soon(wait).await;
 }
 
 /// Waits for this time; does not yield if it is zero.
@@ -247,6 +275,8 @@ pub fn frame(sequence: u32, counts: Vec<i16>) -> Arc<Frame> {
 pub struct Skin {
     /// Time until they arrive, wall time.
     pub takes: Mutex<Duration>,
+    /// Wall time since which its stream is open; none if it is not known.
+    pub since: Mutex<Option<Timestamp>>,
 }
 
 #[async_trait]
@@ -260,7 +290,7 @@ impl SkinReader for Skin {
     }
 
     fn counters(&self) -> StreamCounters {
-        StreamCounters::default()
+        StreamCounters { since: *self.since.lock(), ..StreamCounters::default() }
     }
 
     async fn take(&self, _: Instant, count: usize) -> Result<Vec<Arc<Frame>>, RigError> {
@@ -328,8 +358,8 @@ impl StandIns {
     }
 }
 
-/// A journal that takes everything and keeps only the kinds and times of the events; which trials are stored a test
-/// states.
+/// A journal that takes everything and keeps only the flags of the trials, and the kinds and times of the events; which
+/// trials are stored a test states.
 #[derive(Debug, Default)]
 pub struct Forgetful {
     /// Keys of the trials that are stored.
@@ -338,6 +368,8 @@ pub struct Forgetful {
     pub discards_fail: AtomicBool,
     /// Time that it takes to discard one, wall time.
     pub discards_take: Mutex<Duration>,
+    /// Flags of each trial.
+    pub flags: Mutex<Vec<Vec<Flag>>>,
     /// Kind of each event.
     pub events: Mutex<Vec<String>>,
     /// Wall time of each event.
@@ -355,7 +387,8 @@ impl Forgetful {
 
 #[async_trait]
 impl Journal for Forgetful {
-    async fn trial(&self, _: RunUid, _: &TrialRecord) -> Result<TrialId, JournalError> {
+    async fn trial(&self, _: RunUid, trial: &TrialRecord) -> Result<TrialId, JournalError> {
+        self.flags.lock().push(trial.flags.clone());
         Ok(TrialId(1))
     }
 

@@ -39,6 +39,7 @@ pub async fn tare_untouched(
     accept: Accept,
 ) -> Result<Vec<(u8, f64)>, Halt> {
     let skin = stage.bench.skin.clone();
+    let stream_since = skin.counters().since;
     let mut untouched = skin.take(stage.clock.now(), UNTOUCHED_FRAMES);
     // A tare that ends early, and a request after it, wait for no frame.
     let (zeros, early) = {
@@ -56,11 +57,15 @@ pub async fn tare_untouched(
     let frames = frames.map_err(|e| stage.no_frames(e))?;
     stage.skin = SkinWatch::untouched(&frames);
     if let Some(watch) = &stage.skin {
+        let at = stage.clock.timestamp();
+        // If the stream was opened again meanwhile, they may be frames of both: in no mean with others.
+        let is_one = skin.counters().since == stream_since;
         control.untouched(Untouched {
             voltages_v: watch.untouched_v(),
-            at: stage.clock.timestamp(),
+            at,
             frames: frames.len(),
             run: control.run_uid(),
+            stream_since: if is_one { stream_since } else { Some(at) },
         });
     }
     stage.begin_watch();

@@ -113,11 +113,8 @@ async fn stand(estop: &StopSwitch) -> Result<(), RigError> {
             let device = moving.map_or_else(|| "bench".into(), |stop| stop.axis.clone());
             let error = moving.and_then(|stop| stop.error.as_deref());
             let why = format!("not stopped: {}", error.unwrap_or("not known to be at rest"));
-            return Err(RigError::NotReady {
-                device,
-                operation: "the end of the check".into(),
-                why,
-            });
+            let operation = "the end of the check".into();
+            return Err(RigError::NotReady { device, operation, why });
         }
         tokio::time::sleep(STANDS_POLL).await;
     }

@@ -150,6 +150,7 @@ fn signal(frames: &[Arc<Frame>], found: &mut StreamFound, problems: &mut Vec<Str
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::campaign::bench::stand_in;
 
     #[test]
     fn the_devices_rate_is_seen_through_frames_that_wait() {
@@ -171,22 +172,13 @@ mod tests {
     }
 
     fn frames(noise: i16, broken: i16) -> Vec<Arc<Frame>> {
-        let received = Clock::new(1.0).now();
-        (0..30_u32)
-            .map(|n| {
-                let wobble = if n % 2 == 0 { noise } else { -noise };
-                let mut counts = vec![100 + wobble, -60 - wobble, -40, 0];
-                counts = counts.repeat(4);
-                counts[5] += broken;
-                Arc::new(Frame {
-                    sequence: n,
-                    device_time_us: u64::from(n) * 33_333,
-                    volts_per_count: 1e-3,
-                    counts,
-                    received,
-                })
-            })
-            .collect()
+        let frame = |n: u32| {
+            let wobble = if n % 2 == 0 { noise } else { -noise };
+            let mut counts = [100 + wobble, -60 - wobble, -40, 0].repeat(4);
+            counts[5] += broken;
+            stand_in::frame(n, counts)
+        };
+        (0..30).map(frame).collect()
     }
 
     fn judge(frames: &[Arc<Frame>]) -> (StreamFound, Vec<String>) {

@@ -469,6 +469,7 @@ impl Control {
             Request::Connect
             | Request::Disconnect
             | Request::Home
+            | Request::HomeForRun
             | Request::Jog { .. }
             | Request::Tare
             | Request::Reset

@@ -43,6 +43,8 @@ pub enum Request {
     Disconnect,
     /// Home all axes, z first.
     Home,
+    /// As `Home`, for a run of an earlier process: no person has requested it.
+    HomeForRun,
     /// Move one axis outside a run: `x`, `y`, `z` (machine mm) or `radius` (mm).
     Jog {
         /// Axis: `x`, `y`, `z` or `radius`.
@@ -98,12 +100,12 @@ pub enum Request {
 }
 
 impl Request {
-    /// The action on the rig that it requests: a person operates the rig. None for a request to a run.
+    /// The action on the rig that it requests, as a person who operates it does. None for a request to a run.
     pub fn rig_action(&self) -> Option<RigAction> {
         match self {
             Self::Connect => Some(RigAction::Connect),
             Self::Disconnect => Some(RigAction::Disconnect),
-            Self::Home => Some(RigAction::Home),
+            Self::Home | Self::HomeForRun => Some(RigAction::Home),
             Self::Jog { .. } => Some(RigAction::Jog),
             Self::Tare => Some(RigAction::Tare),
             Self::Reset => Some(RigAction::Reset),
@@ -128,7 +130,7 @@ impl Request {
         match self {
             Self::Connect => "connect",
             Self::Disconnect => "disconnect",
-            Self::Home => "home",
+            Self::Home | Self::HomeForRun => "home",
             Self::Jog { .. } => "jog",
             Self::Tare => "tare",
             Self::Reset => "reset",
@@ -168,6 +170,7 @@ impl Request {
             Self::Connect
             | Self::Disconnect
             | Self::Home
+            | Self::HomeForRun
             | Self::Jog { .. }
             | Self::Tare
             | Self::Reset
@@ -228,6 +231,7 @@ impl Envelope {
             && match self.request {
                 Request::Connect
                 | Request::Home
+                | Request::HomeForRun
                 | Request::Jog { .. }
                 | Request::Reset
                 | Request::Mounted { .. }

@@ -69,6 +69,17 @@ impl RigAction {
         }
     }
 
+    /// As [`Self::refused`], and a tare also because of the last reading of z. For those who offer it: the campaign
+    /// reads z again before it refuses.
+    pub fn refused_now(self, status: &Status) -> Option<String> {
+        self.refused(status).or_else(|| {
+            // The tare of a manual run is that of the skin.
+            let is_manual = status.run.as_ref().is_some_and(|run| run.is_manual);
+            let z = status.rig.not_clear.as_ref().filter(|_| self == Self::Tare && !is_manual)?;
+            Some(z.refuses_tare(status.rig.state))
+        })
+    }
+
     /// Why the rig refuses it in this state, as text; `None` if it does not.
     pub fn refused_by_rig(self, rig: &RigStatus) -> Option<String> {
         if self.needs_stage() && !rig.has_stage {
@@ -112,9 +123,10 @@ impl RigAction {
 #[cfg(test)]
 pub(super) mod tests {
     use super::*;
+    use crate::campaign::bench::not_clear::NotClear;
+    use crate::campaign::bench::stand_in::job;
     use crate::campaign::shown::show;
     use crate::campaign::shown::status::RunStatus;
-    use crate::ids::RunUid;
     use crate::rig::setup::RigSetup;
 
     pub fn status(rig: &str, state: RigState) -> Status {
@@ -127,27 +139,8 @@ pub(super) mod tests {
     pub const SKIN: &str = include_str!("../../../../experiments/rigs/skin-only.toml");
 
     pub fn waiting(why: PausedWhy) -> RunStatus {
-        RunStatus {
-            uid: RunUid::new(),
-            scan_id: 3,
-            experiment: "e".into(),
-            is_manual: false,
-            state: StoredState::Paused,
-            requested_state: None,
-            paused_why: Some(why),
-            waits_since: None,
-            waiting_for: None,
-            wanted: None,
-            phase: Phase::Wait,
-            current_step: None,
-            trial: None,
-            trials_planned: 1,
-            trials_stored: 0,
-            trials_skipped: 0,
-            retries: 0,
-            eta: None,
-            needed_bytes: 0,
-        }
+        let (state, phase) = (StoredState::Paused, Phase::Wait);
+        RunStatus { scan_id: 3, state, paused_why: Some(why), phase, ..show::started(&job()) }
     }
 
     /// Names of the actions that are not refused.
@@ -189,6 +182,25 @@ pub(super) mod tests {
         assert!(allowed(&tripped).is_empty());
         let why = RigAction::Home.refused(&tripped).unwrap();
         assert_eq!(why, "home is not possible while run 3 is running: pause or end it first");
+    }
+
+    #[test]
+    fn a_tare_is_not_offered_while_the_last_reading_of_z_refuses_it() {
+        let mut homed = status(BENCH, RigState::Homed);
+        assert_eq!(RigAction::Tare.refused_now(&homed), None);
+        homed.rig.not_clear = Some(NotClear::NotHomed);
+        let refused = |status: &Status| -> Vec<&'static str> {
+            let refused = RigAction::ALL.iter().filter(|one| one.refused_now(status).is_some());
+            refused.map(|action| action.as_str()).collect()
+        };
+        assert_eq!(refused(&homed), ["connect", "tare", "reset"]);
+        let words = NotClear::NotHomed.refuses_tare(RigState::Homed);
+        assert_eq!(RigAction::Tare.refused_now(&homed), Some(words));
+        // The frame of the untouched skin needs no z.
+        homed.run = Some(RunStatus { is_manual: true, ..waiting(PausedWhy::ManualTrial) });
+        assert_eq!(RigAction::Tare.refused_now(&homed), None);
+        homed.rig.state = RigState::Disconnected;
+        assert_eq!(RigAction::Tare.refused_now(&homed).as_deref(), Some(NO_WIRES));
     }
 
     #[test]

@@ -41,6 +41,7 @@ pub fn closed(config: &RigSetup) -> Status {
             tripped_at: None,
             clock_rate: config.clock_rate(),
             pose: None,
+            not_clear: None,
             forces_n: Vec::new(),
             force_limit_n: config.bench().map(|bench| bench.limits.force_n),
             tips: None,
@@ -117,7 +118,7 @@ pub async fn bench(control: &Control, stage: &Stage) {
             rig.estop_acknowledged_ms = acknowledged_ms;
             rig.estop_stops = press.stops();
             if acknowledged_ms.is_none() {
-                (rig.pose, rig.live_cells) = (None, None);
+                (rig.pose, rig.not_clear, rig.live_cells) = (None, None, None);
                 rig.forces_n.clear();
             }
         });
@@ -125,7 +126,8 @@ pub async fn bench(control: &Control, stage: &Stage) {
             return;
         }
     }
-    let pose = stage.pose().await.ok();
+    let (pose, z) = stage.pose_and_z().await.ok().unzip();
+    let not_clear = z.and_then(|z| stage.not_clear(&z));
     let reading = stage.bench.cells.read().await.ok();
     if let Some(reading) = &reading {
         stage.publish(reading, pose.map(|pose| pose.z_mm));
@@ -133,7 +135,7 @@ pub async fn bench(control: &Control, stage: &Stage) {
     let live = reading.map(|reading| stage.live_forces_n(&reading.volts));
     control.show(|status| {
         let rig = &mut status.rig;
-        rig.pose = pose;
+        (rig.pose, rig.not_clear) = (pose, not_clear);
         rig.live_cells = live.map(|forces| forces.iter().flatten().count() as u8);
         rig.forces_n = live.map_or_else(Vec::new, Vec::from);
     });

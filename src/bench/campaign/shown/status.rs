@@ -1,5 +1,5 @@
 //! Published status of a campaign: rig, run, forces, stream, remaining time.
-//! PURE. Uses: `campaign::{run::run_state, bench::rig_state, record}`. Never: HTTP.
+//! PURE. Uses: `campaign::{run::run_state, bench::rig_state, bench::not_clear, record}`. Never: HTTP.
 
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
@@ -8,6 +8,7 @@ use utoipa::ToSchema;
 
 use crate::campaign::bench::estop::AxisStop;
 use crate::campaign::bench::interlock::{Trip, TripKind};
+use crate::campaign::bench::not_clear::NotClear;
 use crate::campaign::bench::rig_state::RigState;
 use crate::campaign::bench::stopping::StoppingDistance;
 use crate::campaign::run::run_state::PausedWhy;
@@ -100,6 +101,10 @@ pub struct RigStatus {
     pub clock_rate: f64,
     /// Measured pose; null while the wires are closed.
     pub pose: Option<Pose>,
+    /// Why z does not permit a tare that a person requests, from the last reading between runs; none if it does, and
+    /// while it is unknown. For `RigAction`, not for clients.
+    #[serde(skip)]
+    pub not_clear: Option<NotClear>,
     /// Forces of arms 1 to 6 after subtraction of the tare, N; null for arms whose cell is
     /// disconnected. Empty while unknown.
     pub forces_n: Vec<Option<f64>>,

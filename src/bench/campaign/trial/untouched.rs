@@ -33,6 +33,8 @@ pub struct Seen {
     pub from: Timestamp,
     /// Wall time of the last frame.
     pub at: Timestamp,
+    /// Wall time since which the stream was open, and its device had not restarted, when they were requested.
+    pub stream_since: Option<Timestamp>,
 }
 
 impl Seen {
@@ -41,9 +43,9 @@ impl Seen {
     /// # Errors
     /// `RigError` if they do not arrive.
     pub async fn next(skin: &Arc<dyn SkinReader>, clock: &Clock) -> Result<Self, RigError> {
-        let from = clock.timestamp();
+        let (from, stream_since) = (clock.timestamp(), skin.counters().since);
         let frames = skin.take(clock.now(), WINDOW_FRAMES).await?;
-        Ok(Self { window: Window::of(&frames), from, at: clock.timestamp() })
+        Ok(Self { window: Window::of(&frames), from, at: clock.timestamp(), stream_since })
     }
 
     fn rests_after(&self, earlier: &Self) -> bool {
@@ -60,6 +62,8 @@ pub struct UntouchedMean {
     pub frames: usize,
     /// Wall time of the last one.
     pub at: Timestamp,
+    /// As in [`Seen`].
+    pub stream_since: Option<Timestamp>,
 }
 
 /// Follows the untouched skin.
@@ -88,8 +92,11 @@ impl UntouchedSkin {
     /// Adds the next window. Returns what to store: the first untouched window after a touch, and the mean of the
     /// newest ones when the next touch begins.
     pub fn push(&mut self, seen: Seen) -> Option<UntouchedMean> {
-        let follows =
-            |before: &Seen| before.at.duration_until(seen.from) <= GAP && seen.rests_after(before);
+        let follows = |before: &Seen| {
+            before.stream_since == seen.stream_since
+                && before.at.duration_until(seen.from) <= GAP
+                && seen.rests_after(before)
+        };
         let is_untouched =
             self.before.as_ref().is_some_and(follows) && seen.rests_after(&self.last);
         self.before = Some(seen.clone());
@@ -128,7 +135,8 @@ impl UntouchedSkin {
         for window_v in &self.recent_v {
             mean_v.iter_mut().zip(window_v).for_each(|(mean, v)| *mean += v / windows as f64);
         }
-        UntouchedMean { mean_v, frames: windows * WINDOW_FRAMES, at: self.last.at }
+        let Seen { at, stream_since, .. } = self.last;
+        UntouchedMean { mean_v, frames: windows * WINDOW_FRAMES, at, stream_since }
     }
 }
 
@@ -148,7 +156,7 @@ mod tests {
             })
             .collect();
         let [from, at] = [at_s - 1, at_s].map(|s| Timestamp::from_second(s).unwrap());
-        Seen { window: Window::of(&frames), from, at }
+        Seen { window: Window::of(&frames), from, at, stream_since: None }
     }
 
     #[test]
@@ -217,6 +225,20 @@ mod tests {
         let stored = [60, 61, 62].map(|at_s| skin.push(seen(0.0, at_s)));
         let stored = stored.map(|found| found.map(|found| (found.at.as_second(), found.frames)));
         assert_eq!(stored, [Some((2, 3 * WINDOW_FRAMES)), None, Some((61, WINDOW_FRAMES))]);
+    }
+
+    #[test]
+    fn windows_before_the_stream_was_opened_again_are_in_no_mean_after_it() {
+        let mut skin = UntouchedSkin::tared(seen(0.0, 0));
+        assert!((1..4).all(|at_s| skin.push(seen(0.0, at_s)).is_none()));
+        // It was opened again at once: no gap shows it.
+        let stream_since = Some(Timestamp::from_second(4).unwrap());
+        let stored = [4, 5, 6].map(|at_s| skin.push(Seen { stream_since, ..seen(0.0, at_s) }));
+        let stored = stored.map(|found| {
+            found.map(|found| (found.at.as_second(), found.frames, found.stream_since))
+        });
+        let before = Some((2, 3 * WINDOW_FRAMES, None));
+        assert_eq!(stored, [before, None, Some((5, WINDOW_FRAMES, stream_since))]);
     }
 
     #[test]

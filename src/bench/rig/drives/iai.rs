@@ -96,21 +96,11 @@ fn rounded(acceleration: f64) -> f64 {
 /// The move block: target, band, speed, acceleration, no push, absolute positioning. Writing the
 /// low word of the target starts the motion, so the block is written in one request.
 fn move_block(order: &MoveOrder) -> Request {
-    let [target_high, target_low] = to_words(order.target);
-    let [band_high, band_low] = to_words(to_count(order.tolerance, 999_999));
+    let band = to_count(order.tolerance, 999_999);
     // Rounded down: the stopping distance of a press allows no more.
-    let [speed_high, speed_low] = to_words(to_count(order.speed.floor(), SPEED_MAX));
-    let words = vec![
-        target_high,
-        target_low,
-        band_high,
-        band_low,
-        speed_high,
-        speed_low,
-        centi_g(order.acceleration) as u16,
-        0,
-        0,
-    ];
+    let speed = to_count(order.speed.floor(), SPEED_MAX);
+    let long = [order.target, band, speed].into_iter().flat_map(to_words);
+    let words = long.chain([centi_g(order.acceleration) as u16, 0, 0]).collect();
     Request::WriteRegisters { address: MOVE, words }
 }
 

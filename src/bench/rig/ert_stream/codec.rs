@@ -51,6 +51,8 @@ pub struct Tally {
     pub missed: u64,
     /// Number of packets with a wrong code, length, version, electrode count, scale or checksum.
     pub garbled: u64,
+    /// Number of restarts of the device according to the sequence numbers.
+    pub restarts: u64,
 }
 
 /// Splits a byte stream into packets. The result does not depend on how the bytes are portioned.
@@ -140,6 +142,8 @@ impl Decoder {
         // A lower number means that the device was restarted; nothing is missing then.
         if step < u32::MAX / 2 {
             self.tally.missed += u64::from(step - 1);
+        } else {
+            self.tally.restarts += 1;
         }
         self.last_sequence = Some(frame.sequence);
         self.tally.frames += 1;
@@ -235,20 +239,25 @@ mod tests {
     #[test]
     fn a_packet_cut_by_the_opening_is_dropped_without_blame() {
         let mut decoder = Decoder::new(4);
-        let mut bytes = frame(4, 1)[20..].to_vec();
-        bytes.extend(frame(4, 2));
+        let bytes = [&frame(4, 1)[20..], &frame(4, 2)[..]].concat();
         assert_eq!(sequences(&decode(&mut decoder, &bytes)), [2]);
         assert_eq!(decoder.tally().garbled, 0);
     }
 
     #[test]
+    fn a_device_that_counts_again_from_its_start_was_restarted_and_nothing_is_missing() {
+        let mut decoder = Decoder::new(4);
+        let bytes = [7, 8, 2, 3].map(|sequence| frame(4, sequence)).concat();
+        assert_eq!(sequences(&decode(&mut decoder, &bytes)), [7, 8, 2, 3]);
+        assert_eq!((decoder.tally().missed, decoder.tally().restarts), (0, 1));
+    }
+
+    #[test]
     fn a_flipped_byte_costs_one_frame_and_the_gap_is_counted() {
         let mut decoder = Decoder::new(4);
-        let mut bytes = frame(4, 1);
         let mut hurt = frame(4, 2);
         hurt[25] ^= 0x10;
-        bytes.extend(hurt);
-        bytes.extend(frame(4, 3));
+        let bytes = [frame(4, 1), hurt, frame(4, 3)].concat();
         assert_eq!(sequences(&decode(&mut decoder, &bytes)), [1, 3]);
         let tally = decoder.tally();
         assert_eq!((tally.frames, tally.missed, tally.garbled), (2, 1, 1));
@@ -257,11 +266,9 @@ mod tests {
     #[test]
     fn a_lost_zero_costs_the_two_frames_that_it_parted() {
         let mut decoder = Decoder::new(4);
-        let mut bytes = frame(4, 1);
-        bytes.extend(frame(4, 2));
-        bytes.pop();
-        bytes.extend(frame(4, 3));
-        bytes.extend(frame(4, 4));
+        let mut second = frame(4, 2);
+        second.pop();
+        let bytes = [frame(4, 1), second, frame(4, 3), frame(4, 4)].concat();
         assert_eq!(sequences(&decode(&mut decoder, &bytes)), [1, 4]);
         assert_eq!((decoder.tally().missed, decoder.tally().garbled), (2, 1));
     }
@@ -272,8 +279,7 @@ mod tests {
         assert!(decode(&mut decoder, &[0]).is_empty());
         assert!(decode(&mut decoder, &vec![5; 100_000]).is_empty());
         assert!(decoder.packet.capacity() < 1000);
-        let mut bytes = vec![0];
-        bytes.extend(frame(4, 9));
+        let bytes = [vec![0], frame(4, 9)].concat();
         assert_eq!(sequences(&decode(&mut decoder, &bytes)), [9]);
         assert_eq!(decoder.tally().garbled, 1);
     }
@@ -302,9 +308,7 @@ mod tests {
     #[test]
     fn a_device_switched_on_again_misses_nothing() {
         let mut decoder = Decoder::new(4);
-        let mut bytes = frame(4, 5000);
-        bytes.extend(frame(4, 0));
-        bytes.extend(frame(4, 0));
+        let bytes = [frame(4, 5000), frame(4, 0), frame(4, 0)].concat();
         assert_eq!(sequences(&decode(&mut decoder, &bytes)), [5000, 0]);
         assert_eq!((decoder.tally().missed, decoder.tally().garbled), (0, 1));
     }

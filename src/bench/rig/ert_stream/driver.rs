@@ -11,6 +11,7 @@ use std::thread::JoinHandle;
 use std::time::Duration;
 
 use async_trait::async_trait;
+use jiff::Timestamp;
 use parking_lot::Mutex;
 use tokio::io::AsyncReadExt;
 use tokio::sync::{Notify, broadcast, watch};
@@ -42,6 +43,8 @@ const BITS_PER_BYTE: f64 = 10.0;
 struct Shared {
     tally: Mutex<Tally>,
     reconnects: AtomicU64,
+    /// Wall time at which the wire was opened last, or its device restarted after that.
+    since: Mutex<Option<Timestamp>>,
     timing: Mutex<DeviceTiming>,
     /// Last line of text from the device, and the reason why the wire is down; none if it works.
     status: Mutex<(Option<String>, Option<String>)>,
@@ -83,6 +86,7 @@ impl ErtStream {
         let shared = Arc::new(Shared {
             tally: Mutex::default(),
             reconnects: AtomicU64::default(),
+            since: Mutex::default(),
             timing: Mutex::new(DeviceTiming::new(period_s, sending_s, clock.rate())),
             status: Mutex::default(),
             stop: Notify::new(),
@@ -141,9 +145,10 @@ impl SkinReader for ErtStream {
     }
 
     fn counters(&self) -> StreamCounters {
-        let Tally { frames, missed, garbled } = *self.shared.tally.lock();
+        let Tally { frames, missed, garbled, restarts: _ } = *self.shared.tally.lock();
         let reconnects = self.shared.reconnects.load(Ordering::Relaxed);
-        StreamCounters { frames, missed, garbled, reconnects }
+        let since = *self.shared.since.lock();
+        StreamCounters { frames, missed, garbled, reconnects, since }
     }
 
     async fn take(&self, not_before: Instant, count: usize) -> Result<Vec<Arc<Frame>>, RigError> {
@@ -214,6 +219,7 @@ impl Reader {
                 Err(_late) => format!("not open within {} s", OPEN_LIMIT.as_secs()),
                 Ok(Err(error)) => error.to_string(),
                 Ok(Ok(port)) => {
+                    *self.shared.since.lock() = Some(self.clock.timestamp());
                     let before = self.decoder.tally().frames;
                     let ended = self.read(port).await;
                     if self.decoder.tally().frames > before {
@@ -254,6 +260,9 @@ impl Reader {
         decoder.push(bytes, |event| events.push(event));
         let (tally, shared) = (self.decoder.tally(), &self.shared);
         let before = std::mem::replace(&mut *shared.tally.lock(), tally);
+        if tally.restarts != before.restarts {
+            *shared.since.lock() = Some(self.clock.timestamp());
+        }
         if tally.frames != before.frames {
             shared.status.lock().1 = None;
         }

@@ -6,6 +6,7 @@ use std::net::{TcpListener, TcpStream};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
+use jiff::Timestamp;
 use tokio::time::Instant;
 
 use super::*;
@@ -126,9 +127,12 @@ async fn a_silent_device_is_waited_for_until_the_deadline() {
 async fn a_lost_wire_is_opened_again_and_frames_continue() {
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let address = listener.local_addr().unwrap().to_string();
+    let closed_at = Arc::new(Mutex::new(None));
+    let closed = closed_at.clone();
     std::thread::spawn(move || {
         let (mut wire, _) = listener.accept().unwrap();
         wire.write_all(&packet(1, 10_000)).unwrap();
+        *closed.lock().unwrap() = Some(Timestamp::now());
         drop(wire);
         let (wire, _) = listener.accept().unwrap();
         device(wire, Duration::from_millis(5), 1.0, [0, 0], &Truth::default());
@@ -138,5 +142,7 @@ async fn a_lost_wire_is_opened_again_and_frames_continue() {
     let frames = stream.take(Instant::now(), 5).await.unwrap();
     assert_eq!(frames.len(), 5);
     assert_eq!(stream.counters().reconnects, 1);
+    let closed_at = *closed_at.lock().unwrap();
+    assert!(closed_at.is_some() && stream.counters().since > closed_at, "it is open since then");
     assert_eq!(stream.wire_trouble(), None);
 }

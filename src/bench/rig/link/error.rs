@@ -5,7 +5,6 @@
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[allow(missing_docs, reason = "the message names the fields")]
 pub enum LineError {
-    /// No reply arrived within the deadline.
     #[error("no reply within {timeout_ms} ms")]
     NoReply { timeout_ms: u64 },
     /// The wire could not be opened, or the connection was lost.

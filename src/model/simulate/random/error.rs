@@ -24,7 +24,6 @@ pub enum RandomError {
     Foreign { folder: PathBuf, file: String },
     #[error("another process writes into {folder}", folder = folder.display())]
     Busy { folder: PathBuf },
-    /// The manifest is not valid JSON.
     #[error("reading {path}: {source}", path = path.display())]
     Manifest { path: PathBuf, source: serde_json::Error },
     #[error("{operation} {path}: {source}", path = path.display())]

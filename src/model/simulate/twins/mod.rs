@@ -16,11 +16,10 @@ const UNKNOWN_CONTACTS: &str = "?";
 
 /// Why a trial has no simulated frame.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
+#[allow(missing_docs, reason = "the message names the fields")]
 pub enum TwinFailure {
-    /// The position or the force of a contact is unknown.
     #[error("a contact has no position or no force")]
     Unknown,
-    /// The model rejects a contact.
     #[error(transparent)]
     Contact(#[from] ContactError),
 }

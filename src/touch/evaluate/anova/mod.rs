@@ -43,27 +43,19 @@ pub struct Factor {
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[allow(missing_docs, reason = "the message names the fields")]
 pub enum AnovaError {
-    /// The design has no factor.
     #[error("a design needs a factor")]
     NoFactors,
-    /// A factor has fewer than two levels.
     #[error("factor {name}: {levels} levels; it needs two or more")]
     Levels { name: String, levels: usize },
-    /// The design has more than [`CELLS_MAX`] combinations of levels.
     #[error("a design of more than {CELLS_MAX} cells")]
     Cells,
-    /// A combination of levels is not in the design.
     #[error("sample at {at:?}: the design has no such cell")]
     Place { at: Vec<usize> },
-    /// A sample is not finite.
     #[error("sample {value}: must be finite")]
     Sample { value: f64 },
-    /// A combination of levels has no samples.
+    /// `at`: `factor = level`, for each factor.
     #[error("no samples at {}: interactions cannot be determined", .at.join(", "))]
-    EmptyCell {
-        /// `factor = level`, for each factor.
-        at: Vec<String>,
-    },
+    EmptyCell { at: Vec<String> },
     /// One sample in each cell: the variance within cells cannot be estimated.
     #[error("{samples} samples for {cells} cells: at least one cell needs more than one")]
     TooFew { samples: u64, cells: usize },

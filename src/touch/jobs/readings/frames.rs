@@ -45,11 +45,8 @@ impl FrameInput {
     pub fn read(text: &str) -> Result<Vec<Self>, String> {
         let invalid =
             |at: usize| format!("line {}: must be a frame, as the order was written", at + 1);
-        let mut inputs = Vec::new();
-        for (at, line) in text.lines().enumerate() {
-            inputs.push(Self::of_line(line).ok_or_else(|| invalid(at))?);
-        }
-        Ok(inputs)
+        let line = |(at, line)| Self::of_line(line).ok_or_else(|| invalid(at));
+        text.lines().enumerate().map(line).collect()
     }
 
     fn of_line(line: &str) -> Option<Self> {

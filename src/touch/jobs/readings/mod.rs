@@ -115,12 +115,9 @@ impl Jobs {
         let scoring = background(move || -> JobResult<Option<EvaluationReport>> {
             let mut scoring = scoring;
             if sha256_hex(FrameInput::lines(&scoring.inputs()?)) != stated {
-                return Err(JobError::Problems(vec![Problem::new(
-                    "readings",
-                    "frames_sha256",
-                    stated,
-                    "must be that of the frames of the dataset now; order again",
-                )]));
+                let limit = "must be that of the frames of the dataset now; order again";
+                let problem = Problem::new("readings", "frames_sha256", stated, limit);
+                return Err(JobError::Problems(vec![problem]));
             }
             let exact = ExactPipeline { skin, points: None };
             let readings = Mutex::new(readings.into_iter());

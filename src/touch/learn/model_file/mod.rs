@@ -46,13 +46,10 @@ pub struct TrainedRange {
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 #[allow(missing_docs, reason = "the message names the fields")]
 pub enum OutOfRange {
-    /// The norm of the frame is larger than in training.
     #[error("a frame of norm {norm_v:.4} V: trained up to {max_norm_v:.4} V")]
     Norm { norm_v: f64, max_norm_v: f64 },
-    /// The number of contacts did not occur in training.
     #[error("{contacts} contacts: not among those trained on")]
     Contacts { contacts: u32 },
-    /// A force is larger than in training.
     #[error("a contact of {force_n:.2} N: trained up to {max_force_n:.2} N")]
     Force { force_n: f64, max_force_n: f64 },
 }
@@ -134,32 +131,23 @@ pub struct Manifest {
 #[derive(Debug, thiserror::Error)]
 #[allow(missing_docs, reason = "the message names the fields")]
 pub enum ModelError {
-    /// The ONNX file is invalid.
     #[error("ONNX file: {0}")]
     Onnx(#[from] OnnxError),
-    /// The facts are invalid; one problem per key.
     #[error("{}", listed(.0))]
     Facts(Vec<Problem>),
-    /// The shapes of the file do not match the facts.
     #[error("ONNX file: {port} `{name}` has shape {found:?}, {task} on this sensor has {wanted:?}")]
     Shape {
-        /// Kind of the tensor: input or output.
         port: &'static str,
-        /// Name of the tensor.
         name: String,
         /// Its shape, batch first; `None` is open.
         found: Vec<Option<usize>>,
-        /// The shape that the task requires.
         wanted: Vec<Option<usize>>,
-        /// Name of the task.
         task: &'static str,
     },
-    /// The ONNX file is not the one for which the manifest was written.
     #[error(
         "the id of ONNX file and manifest is {made}, the manifest states {stated}: one was changed"
     )]
     Changed { made: ModelId, stated: ModelId },
-    /// The net cannot be written as ONNX.
     #[error("net: {0}")]
     Write(#[from] WriteError),
 }
@@ -178,20 +166,12 @@ impl ModelFacts {
         checks.require(channels, "model.channels", self.channels, &limit);
         let map = self.force_map.map_or("none".into(), |map| map.to_string());
         let limit = "must be set for nets with force maps as answers, and only for these";
-        checks.require(
-            self.task.gives_map() == self.force_map.is_some(),
-            "model.force_map",
-            map,
-            limit,
-        );
+        let is_right = self.task.gives_map() == self.force_map.is_some();
+        checks.require(is_right, "model.force_map", map, limit);
         let is_pattern = self.task == NetTask::Pattern;
         let limit = "must be set for the task pattern, and only for it";
-        checks.require(
-            is_pattern != self.places_mm.is_empty(),
-            "model.places_mm",
-            self.places_mm.len(),
-            limit,
-        );
+        let is_right = is_pattern != self.places_mm.is_empty();
+        checks.require(is_right, "model.places_mm", self.places_mm.len(), limit);
         let wanted = self.task.output_shape(sensor, self.force_map, self.places_mm.len());
         let wanted = wanted.unwrap_or_else(|| self.output_shape.clone());
         let numbers = wanted.iter().try_fold(1, |n: usize, &l| n.checked_mul(l)).unwrap_or(0);

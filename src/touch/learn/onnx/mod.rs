@@ -36,23 +36,17 @@ const ID_PROPERTY: &str = "palpate.model";
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[allow(missing_docs, reason = "the message names the fields")]
 pub enum OnnxError {
-    /// The file is larger than [`FILE_BYTES_MAX`].
     #[error("a file of {bytes} bytes: at most {FILE_BYTES_MAX}")]
     TooLarge { bytes: usize },
-    /// The bytes are truncated, damaged, or not ONNX.
     #[error("not an ONNX file, or a damaged one: {0}")]
     Damaged(String),
-    /// The engine does not support the operator set.
+    /// `found`: 0 if the file states none.
     #[error("operator set {found}: must be from {} to {} (export with opset_version=17)",
         OPSETS.start(), OPSETS.end())]
-    Opset {
-        /// Operator set of the file; 0 if it states none.
-        found: i64,
-    },
+    Opset { found: i64 },
     /// The file uses a feature of ONNX that is excluded for safety.
     #[error("{place}: {what} cannot be served")]
     Unsupported { place: String, what: &'static str },
-    /// The data of a tensor do not match its shape.
     #[error("tensor `{tensor}`: shape {shape:?} and {found} bytes of data do not agree")]
     Tensor { tensor: String, shape: Vec<i64>, found: usize },
     /// A name has no definition before its use, or two definitions.

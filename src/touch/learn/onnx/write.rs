@@ -15,26 +15,14 @@ use super::graph::{Graph, float, int, ints, text, value};
 const IR_VERSION: i64 = 8;
 const OPSET: i64 = 17;
 
-/// Why a net cannot be written.
+/// Why a net cannot be written; a layer is named by its kind and index, as in `dense_3`.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[allow(missing_docs, reason = "the message names the fields")]
 pub enum WriteError {
-    /// The length of a tensor is wrong.
     #[error("layer {layer}: {tensor} holds {found} numbers, must hold {wanted}")]
-    Length {
-        /// Kind and index of the layer, as in `dense_3`.
-        layer: String,
-        /// Name of the tensor.
-        tensor: &'static str,
-        /// Length of the tensor.
-        found: usize,
-        /// Length that the shape requires.
-        wanted: usize,
-    },
-    /// A value of a tensor is not finite.
+    Length { layer: String, tensor: &'static str, found: usize, wanted: usize },
     #[error("layer {layer}: {tensor} holds a number that is not finite")]
     NotFinite { layer: String, tensor: &'static str },
-    /// The input of a layer is not the output of the one before it.
     #[error("layer {layer}: needs {wanted}, input is {given}")]
     Shape { layer: String, wanted: String, given: String },
     /// The last layer's shape is not that of the answer, or of the input in the residual form.

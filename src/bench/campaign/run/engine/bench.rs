@@ -66,12 +66,12 @@ impl Engine {
             Request::Connect => self.connect(presses).await,
             Request::Disconnect => self.disconnect().await,
             Request::Reset => self.reset(presses, Some(&answer)).await,
-            Request::Home => {
+            Request::Home | Request::HomeForRun => {
                 let ready = self.require_complete(&answer).await;
                 match ready.and_then(|()| self.control.rig_event(RigEvent::Homing)) {
                     Ok(()) => {
                         let _ = answer.send(Ok(()));
-                        self.home_axes().await;
+                        self.home_axes(matches!(request, Request::Home)).await;
                         return;
                     }
                     Err(refusal) => Err(refusal),
@@ -139,7 +139,7 @@ impl Engine {
         // What was measured before is not what is now.
         let closed = show::closed(&self.config).rig;
         self.control.show(|status| {
-            status.rig.pose = closed.pose;
+            (status.rig.pose, status.rig.not_clear) = (closed.pose, None);
             status.rig.forces_n = closed.forces_n;
             status.rig.live_cells = closed.live_cells;
             status.rig.stream = closed.stream;
@@ -347,15 +347,19 @@ impl Engine {
         if answer.is_closed() { Err(Refusal::Gone) } else { Ok(()) }
     }
 
+    /// Homes for a run that resumes automatically.
     pub(super) async fn home(&mut self) -> bool {
-        self.control.rig_event(RigEvent::Homing).is_ok() && self.home_axes().await
+        self.control.rig_event(RigEvent::Homing).is_ok() && self.home_axes(false).await
     }
 
-    async fn home_axes(&mut self) -> bool {
+    /// `by_person`: whether a person has requested it.
+    async fn home_axes(&mut self, by_person: bool) -> bool {
         self.prepared_setting = None;
         let entered = self.entered_tips();
         let homed = self
-            .guarded(Motion::Homing, async |stage, control| stage.home(control, entered).await)
+            .guarded(Motion::Homing, by_person, async |stage, control| {
+                stage.home(control, entered).await
+            })
             .await;
         if homed {
             self.owed = Owed::Nothing;
@@ -369,7 +373,7 @@ impl Engine {
 
     async fn jog(&mut self, target: Target) {
         let entered = self.entered_tips();
-        self.guarded(Motion::Jog, async |stage, control| {
+        self.guarded(Motion::Jog, true, async |stage, control| {
             control.attending(stage.assume_tips(entered)).await??;
             if target.axis != AxisName::Z {
                 // The clearance may have grown since: other tips, or an unknown surface.
@@ -382,10 +386,11 @@ impl Engine {
     }
 
     /// Runs a motion outside a run, which the status shows until it ends. Every early end leads to the safe end, and
-    /// latches unless it was requested.
+    /// latches unless it was requested. `by_person`: whether a person has requested the motion.
     async fn guarded(
         &mut self,
         motion: Motion,
+        by_person: bool,
         drive: impl AsyncFnOnce(&mut Stage, &mut Control) -> Result<(), Halt>,
     ) -> bool {
         let Some(stage) = self.connection.as_mut().and_then(|c| c.stage.as_mut()) else {
@@ -395,6 +400,9 @@ impl Engine {
         let outcome = drive(stage, &mut self.control).await;
         self.control.show(|status| status.rig.motion = None);
         self.moved_at = Some(Instant::now());
+        if by_person || matches!(outcome, Err(Halt::Asked)) {
+            self.operated_at = Instant::now();
+        }
         let Err(halt) = outcome else { return true };
         let requested = self.control.leaving() || matches!(halt, Halt::Asked);
         let trip = (!requested).then(|| trip_of(&halt));

@@ -138,6 +138,9 @@ struct Engine {
     owed_pause: Duration,
     /// When a homing or a jog ended last.
     moved_at: Option<Instant>,
+    /// When one ended last that a person had requested, or has ended. What a person did before the start of this thread
+    /// is not known: it counts as done at the start.
+    operated_at: Instant,
     /// When an abort of one was requested last.
     aborted_at: Option<Instant>,
     /// When the devices were last known to reply outside a step of a run.
@@ -195,6 +198,7 @@ impl Engine {
             owed: Owed::Nothing,
             owed_pause: OWED_AGAIN,
             moved_at: None,
+            operated_at: now.1,
             replied_at: None,
             aborted_at: None,
             halted_at: now,
@@ -283,11 +287,11 @@ impl Engine {
         }
     }
 
-    /// Whether a device that does not reply has just failed, and no homing or jog came shortly before: otherwise a
-    /// person may be at the rig.
+    /// Whether a device that does not reply has just failed, and no homing or jog of a person, nor the start of this
+    /// thread, came shortly before: otherwise a person may be at the rig.
     fn has_just_failed(&self) -> bool {
         self.replied_at.is_some_and(|at| at.elapsed() <= REPLIED_WITHIN)
-            && self.moved_at.is_none_or(|at| at.elapsed() > OPERATED_WITHIN)
+            && self.operated_at.elapsed() > OPERATED_WITHIN
     }
 
     /// Executes the safe end, with or without a run. Returns true if nothing more can be done for

@@ -324,13 +324,9 @@ mod tests {
     use super::*;
     use crate::campaign::shown::command::Request;
 
-    /// An automatic resume whose next attempt is due.
-    fn due<'a>(
-        job: &Job,
-        resumes: &'a mut u32,
-        waits_for: Option<String>,
-    ) -> Option<Automatic<'a>> {
-        let resume = Automatic::new(job, resumes, waits_for);
+    /// An automatic resume whose next attempt is due; no test reads its count of resumes, which is leaked.
+    fn due(job: &Job, waits_for: Option<String>) -> Option<Automatic<'static>> {
+        let resume = Automatic::new(job, Box::leak(Box::new(1)), waits_for);
         Some(Automatic { at: Instant::now(), ..resume })
     }
 
@@ -343,8 +339,7 @@ mod tests {
         if is_locked {
             axes.journal.lock(1);
         }
-        let mut resumes = 1;
-        let mut automatic = due(&job, &mut resumes, Some("no reply".into()));
+        let mut automatic = due(&job, Some("no reply".into()));
         automatic.as_mut().unwrap().silent_since = silent_since.map(|time| Instant::now() - time);
         assert!(engine.resume_automatically(&job, &mut automatic, 0).await.is_none());
         assert_eq!(engine.control.rig(), RigState::Tripped);
@@ -373,8 +368,7 @@ mod tests {
     async fn a_loss_of_power_between_two_automatic_resumes_waits_for_a_person() {
         let (job, (axes, mut engine)) = (job(), engine());
         trip(&mut engine, &job);
-        let mut resumes = 1;
-        let mut automatic = due(&job, &mut resumes, None);
+        let mut automatic = due(&job, None);
         // The first one loses a wire while it homes.
         axes.x.starts_fail.store(true, Ordering::SeqCst);
         assert!(engine.resume_automatically(&job, &mut automatic, 0).await.is_none());
@@ -394,8 +388,7 @@ mod tests {
     async fn no_axis_is_homed_automatically_while_a_safe_end_is_not_complete() {
         let (job, (axes, mut engine)) = (job(), engine());
         trip(&mut engine, &job);
-        let mut resumes = 1;
-        let mut automatic = due(&job, &mut resumes, None);
+        let mut automatic = due(&job, None);
         for owed in [Owed::Wires(Instant::now(), Height::Clear), Owed::Nothing] {
             engine.owed = owed;
             automatic.as_mut().unwrap().at = Instant::now();
@@ -409,8 +402,7 @@ mod tests {
     async fn a_run_does_not_resume_by_itself_if_a_person_operates_the_rig_once_it_is_homed() {
         let (job, (_, mut engine, handle)) = (job(), with_handle());
         trip(&mut engine, &job);
-        let mut resumes = 1;
-        let mut automatic = due(&job, &mut resumes, None);
+        let mut automatic = due(&job, None);
         let mut status = handle.watch_status();
         // While the pace of the wires is measured.
         let operates = async {
@@ -429,8 +421,7 @@ mod tests {
     async fn a_run_does_not_resume_by_itself_if_a_person_takes_the_lock_once_the_rig_is_homed() {
         let (job, (axes, mut engine, handle)) = (job(), with_handle());
         trip(&mut engine, &job);
-        let mut resumes = 1;
-        let mut automatic = due(&job, &mut resumes, None);
+        let mut automatic = due(&job, None);
         let mut status = handle.watch_status();
         // While the pace of the wires is measured.
         let locks = async {
@@ -451,8 +442,7 @@ mod tests {
     async fn nothing_homes_by_itself_under_a_lock_that_was_taken_while_the_devices_were_read() {
         let (job, (axes, mut engine)) = (job(), engine());
         trip(&mut engine, &job);
-        let mut resumes = 1;
-        let mut automatic = due(&job, &mut resumes, None);
+        let mut automatic = due(&job, None);
         *axes.cells.takes.lock() = Duration::from_millis(50);
         let locks = async { axes.journal.lock(0) };
         // In this order: the lock is taken once the cells are awaited.
@@ -468,8 +458,7 @@ mod tests {
         let (job, (axes, mut engine)) = (job(), engine());
         let suspended_s = suspensions(&mut engine);
         trip(&mut engine, &job);
-        let mut resumes = 1;
-        let mut automatic = due(&job, &mut resumes, Some("no reply".into()));
+        let mut automatic = due(&job, Some("no reply".into()));
         suspended_s.store(3600, Ordering::SeqCst);
         assert!(engine.resume_automatically(&job, &mut automatic, 0).await.is_none());
         assert!(automatic.is_none() && engine.control.rig() == RigState::Tripped);

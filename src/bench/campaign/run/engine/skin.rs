@@ -124,6 +124,7 @@ impl Engine {
             at: mean.at,
             frames: mean.frames,
             run: self.control.run_uid(),
+            stream_since: mean.stream_since,
         });
     }
 }

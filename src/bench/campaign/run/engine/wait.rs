@@ -253,6 +253,7 @@ impl Engine {
             Request::Connect
             | Request::Disconnect
             | Request::Home
+            | Request::HomeForRun
             | Request::Jog { .. }
             | Request::Tare
             | Request::Mounted { .. }

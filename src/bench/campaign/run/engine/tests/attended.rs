@@ -5,15 +5,37 @@ use std::sync::atomic::Ordering;
 use std::time::Duration;
 
 use super::super::recovery::BY_HAND;
-use super::super::{Attempts, Next};
+use super::super::{Attempts, Engine, Next};
 use super::{asked_while_moving, begin, job, signs, trip, waiting_for, with_handle};
 use crate::campaign::bench::interlock::TripKind;
 use crate::campaign::bench::rig_state::RigState;
+use crate::campaign::bench::stand_in::{soon, until};
 use crate::campaign::run::halt::Halt;
+use crate::campaign::run::job::Job;
 use crate::campaign::run::run_state::{PausedWhy, RunEvent, RunState};
-use crate::campaign::shown::command::Request;
+use crate::campaign::shown::command::{Handle, Request};
 use crate::campaign::shown::status::Status;
 use crate::rig::traits::AxisStatus;
+
+/// Whether the run waits for what begins with these words.
+fn waits_for(now: &Status, words: &str) -> bool {
+    let shown = now.run.as_ref().and_then(|run| run.waiting_for.as_deref());
+    shown.is_some_and(|shown| shown.starts_with(words))
+}
+
+/// What follows in a tripped run, of which the status shows that it waits for what begins with these words.
+async fn waited_for(engine: &mut Engine, job: &Job, handle: Handle, words: &str) -> Next {
+    let mut status = handle.watch_status();
+    let shown = async move {
+        let _handle = handle;
+        status.wait_for(|now| waits_for(now, words)).await.is_ok()
+    };
+    let (mut attempts, mut resumes) = (Attempts::default(), 1);
+    let waits = engine.wait(job, &mut attempts, Some(&mut resumes));
+    let (next, is_shown) = soon(async { tokio::join!(waits, shown) }).await;
+    assert!(is_shown, "{words}");
+    next
+}
 
 #[tokio::test]
 async fn nothing_homes_by_itself_after_a_request_to_the_rig_while_the_devices_were_read() {
@@ -22,11 +44,8 @@ async fn nothing_homes_by_itself_after_a_request_to_the_rig_while_the_devices_we
     trip(&mut engine, &job);
     *axes.cells.takes.lock() = Duration::from_millis(50);
     let cells = axes.cells.clone();
-    // Without a handle there is no request to wait for.
     let asks = async move {
-        while cells.readings.load(Ordering::SeqCst) == 0 {
-            tokio::time::sleep(Duration::from_millis(1)).await;
-        }
+        until(|| cells.readings.load(Ordering::SeqCst) > 0).await;
         handle.ask(Request::Home).await
     };
     let (mut attempts, mut resumes) = (Attempts::default(), 1);
@@ -55,24 +74,15 @@ async fn a_homing_for_an_automatic_resume_ends_once_a_person_takes_the_lock_or_o
             } else {
                 handle.ask(Request::Tare).await.unwrap_err();
             }
-            while x.stops.load(Ordering::SeqCst) == 0 {
-                tokio::time::sleep(Duration::from_millis(5)).await;
-            }
+            until(|| x.stops.load(Ordering::SeqCst) > 0).await;
             x.status.lock().moving = false;
             let awaited = if is_locked { "the release of the operator lock (ada" } else { BY_HAND };
-            let is_held = |now: &Status| {
-                let words = now.run.as_ref().and_then(|run| run.waiting_for.as_deref());
-                words.is_some_and(|words| words.starts_with(awaited))
-            };
-            // Without a handle there is no request to wait for.
             let mut status = handle.watch_status();
-            status.wait_for(is_held).await.is_ok()
+            status.wait_for(|now| waits_for(now, awaited)).await.is_ok()
         };
         let (mut attempts, mut resumes) = (Attempts::default(), 1);
         let waits = engine.wait(&job, &mut attempts, Some(&mut resumes));
-        let both = async { tokio::join!(waits, comes) };
-        let both = tokio::time::timeout(Duration::from_secs(60), both).await;
-        let (next, is_held) = both.expect("the homing ends");
+        let (next, is_held) = soon(async { tokio::join!(waits, comes) }).await;
         assert!(matches!(next, Next::Leave) && is_held);
         let states = (engine.control.rig(), engine.control.run());
         assert_eq!(states, (RigState::Disarmed, RunState::Paused(PausedWhy::Trip)));
@@ -88,7 +98,6 @@ async fn a_run_does_not_resume_by_itself_if_a_person_requested_a_motion_shortly_
             let (refused, moved) = asked_while_moving(&mut engine, &handle, Request::Home).await;
             assert!(refused.is_err() && moved.is_ok(), "{refused:?}");
         }
-        // Without a handle there is no request to wait for.
         drop(handle);
         let (mut attempts, mut resumes) = (Attempts::default(), 0);
         let halt = Halt::trip(TripKind::Wire, "no reply");
@@ -121,22 +130,7 @@ async fn a_run_states_why_the_rig_could_not_be_armed_for_its_automatic_resume() 
     trip(&mut engine, &job);
     // The wires were so slow that no press keeps the margin.
     engine.stage_mut().unwrap().stopping.note_poll(1e6);
-    let mut status = handle.watch_status();
-    let states = async move {
-        // Without a handle there is no request to wait for.
-        let _handle = handle;
-        let is_stated = |now: &Status| {
-            let words = now.run.as_ref().and_then(|run| run.waiting_for.as_deref());
-            words.is_some_and(|words| words.starts_with("limits.force_margin_n = "))
-        };
-        status.wait_for(is_stated).await.is_ok()
-    };
-    let (mut attempts, mut resumes) = (Attempts::default(), 1);
-    let waits = engine.wait(&job, &mut attempts, Some(&mut resumes));
-    let both = async { tokio::join!(waits, states) };
-    let both = tokio::time::timeout(Duration::from_secs(60), both).await;
-    let (next, is_stated) = both.expect("it is stated");
-    assert!(is_stated);
+    let next = waited_for(&mut engine, &job, handle, "limits.force_margin_n = ").await;
     // At rest the slow poll is forgotten within seconds: on a slow machine the next attempt may arm the rig.
     let wanted = if matches!(next, Next::Leave) { RigState::Homed } else { RigState::Armed };
     assert_eq!(engine.control.rig(), wanted);
@@ -149,22 +143,8 @@ async fn a_run_does_not_resume_by_itself_if_a_drive_has_its_motor_off() {
     trip(&mut engine, &job);
     // It has kept its zero, and reports no alarm.
     axes.x.status.lock().ready = false;
-    let mut status = handle.watch_status();
-    let states = async move {
-        // Without a handle there is no request to wait for.
-        let _handle = handle;
-        let is_stated = |now: &Status| {
-            let words = now.run.as_ref().and_then(|run| run.waiting_for.as_deref());
-            words.is_some_and(|words| words.starts_with("x has its motor off"))
-        };
-        status.wait_for(is_stated).await.is_ok()
-    };
-    let (mut attempts, mut resumes) = (Attempts::default(), 1);
-    let waits = engine.wait(&job, &mut attempts, Some(&mut resumes));
-    let both = async { tokio::join!(waits, states) };
-    let both = tokio::time::timeout(Duration::from_secs(60), both).await;
-    let (next, is_stated) = both.expect("it is stated");
-    assert!(matches!(next, Next::Leave) && is_stated);
+    let next = waited_for(&mut engine, &job, handle, "x has its motor off").await;
+    assert!(matches!(next, Next::Leave));
     assert_eq!(engine.control.rig(), RigState::Tripped);
     assert_eq!(axes.z.starts.load(Ordering::SeqCst), 0);
 }

@@ -1,17 +1,19 @@
-//! The frame of a trial: nothing is stored of it if the computer was suspended as it was taken, and no request waits
-//! for it.
+//! The frames of a trial: nothing is stored of them if the computer was suspended as they were taken, no request waits
+//! for them, and a trial whose weights move under them is flagged.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::time::Duration;
 
 use async_trait::async_trait;
 use tokio::sync::broadcast;
 use tokio::time::Instant;
 
+use super::super::Attempts;
 use super::{begin, engine, job, parts, surface, suspensions, tripped, with_handle};
 use crate::campaign::bench::interlock::TripKind;
+use crate::campaign::bench::stand_in::{frame, soon};
 use crate::campaign::run::control::Control;
+use crate::campaign::run::eta::Pace;
 use crate::campaign::run::halt::Halt;
 use crate::campaign::run::job::Job;
 use crate::campaign::run::run_state::{PausedWhy, RunState};
@@ -21,11 +23,12 @@ use crate::campaign::shown::status::{Phase, Status};
 use crate::campaign::trial::manual::{self, Confirmed};
 use crate::campaign::trial::press::Pressing;
 use crate::clock::Clock;
+use crate::record::Flag;
 use crate::rig::error::RigError;
 use crate::rig::traits::{Frame, SkinReader, StreamCounters};
 use crate::schedule::experiment::Measure;
-use crate::schedule::manual::PlannedPlacement;
-use crate::schedule::plan::Step;
+use crate::schedule::manual::{PlannedContact, PlannedPlacement};
+use crate::schedule::plan::{Kind, Step};
 
 /// A skin whose computer is suspended as the frame of a trial is taken, or which never sends that frame.
 struct Late {
@@ -117,8 +120,70 @@ async fn a_pause_of_a_placement_does_not_wait_for_its_frames() {
         handle.ask(Request::PauseNow).await
     };
     let both = async { tokio::join!(placed(late, &mut engine.control, &job), pause) };
-    let both = tokio::time::timeout(Duration::from_secs(30), both).await;
-    let (measured, paused) = both.expect("it ends");
+    let (measured, paused) = soon(both).await;
     assert!(matches!(measured, Err(Halt::Asked)) && paused.is_ok(), "{measured:?} {paused:?}");
     assert_eq!(engine.control.run(), RunState::Suspending(PausedWhy::Operator));
+}
+
+/// Frames of a trial that is long enough to show a change.
+const MEASURED_FRAMES: u32 = 30;
+
+/// A skin that is at rest before the frames of a trial are taken, and changes by this number of counts after half of
+/// them.
+struct Moving {
+    skin: Arc<dyn SkinReader>,
+    change: i16,
+}
+
+#[async_trait]
+impl SkinReader for Moving {
+    fn latest(&self) -> Option<Arc<Frame>> {
+        self.skin.latest()
+    }
+
+    fn follow(&self) -> broadcast::Receiver<Arc<Frame>> {
+        self.skin.follow()
+    }
+
+    fn counters(&self) -> StreamCounters {
+        self.skin.counters()
+    }
+
+    async fn take(&self, not_before: Instant, count: usize) -> Result<Vec<Arc<Frame>>, RigError> {
+        if count < MEASURED_FRAMES as usize {
+            return self.skin.take(not_before, count).await;
+        }
+        let one = |sequence: u32| {
+            let change = if sequence > MEASURED_FRAMES / 2 { self.change } else { 0 };
+            // The voltages of an injection sum to zero.
+            let counts = (0..784).map(|c| if c % 2 == 0 { change } else { -change });
+            frame(sequence, counts.collect())
+        };
+        Ok((1..).take(count).map(one).collect())
+    }
+}
+
+/// Flags of the trials that the journal receives of a run of one placement, which a person has confirmed.
+async fn flags_of_a_placement(change: i16) -> Vec<Vec<Flag>> {
+    let (mut job, (axes, mut engine)) = (job(), engine());
+    let contacts = vec![PlannedContact { x_mm: 100.0, y_mm: 80.0, force_n: 4.905 }];
+    job.plan.steps = vec![Step::Manual(PlannedPlacement { index: 0, contacts })];
+    job.plan.measure =
+        Measure { frames_per_trial: MEASURED_FRAMES, settle_ms: 0.0, ..Measure::default() };
+    (job.plan.kind, job.plan.depths_mm) = (Kind::RealRandom, Vec::new());
+    begin(&mut engine, &job);
+    let open = engine.connection.as_mut().expect("open wires");
+    open.skin = Arc::new(Moving { skin: open.skin.clone(), change });
+    let confirmed = Some((0, Confirmation::of("ada".into())));
+    let mut attempts = Attempts { confirmed, ..Attempts::default() };
+    let advanced = engine.advance(&job, &mut Pace::predicted(1.0), &mut attempts).await;
+    assert!(matches!(advanced, Ok(None)), "{advanced:?}");
+    axes.journal.flags.lock().clone()
+}
+
+#[tokio::test]
+async fn a_placement_whose_signal_changes_while_it_is_measured_is_stored_as_unsettled() {
+    for (change, flags) in [(0, Vec::new()), (4, vec![Flag::Unsettled])] {
+        assert_eq!(flags_of_a_placement(change).await, [flags], "{change} mV");
+    }
 }

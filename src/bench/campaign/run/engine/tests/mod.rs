@@ -14,7 +14,8 @@ use crate::campaign::bench::estop::StopSwitch;
 use crate::campaign::bench::interlock::{Trip, TripKind};
 use crate::campaign::bench::rig_state::{RigEvent, RigState};
 use crate::campaign::bench::stage::{AxisName, Height, Stage};
-use crate::campaign::bench::stand_in::{StandIns, config};
+pub(super) use crate::campaign::bench::stand_in::job;
+use crate::campaign::bench::stand_in::{StandIns, config, until};
 use crate::campaign::bench::travel::Target;
 use crate::campaign::diary::Diary;
 use crate::campaign::run::control::Control;
@@ -25,12 +26,11 @@ use crate::campaign::shown::command::{Handle, Refusal, Request, channel};
 use crate::campaign::shown::show;
 use crate::campaign::shown::status::{Done, Wanted};
 use crate::clock::Clock;
-use crate::ids::{RunUid, TrialKey};
+use crate::ids::TrialKey;
 use crate::journal::{ExitStatus, Journal};
 use crate::record::TouchOffRecord;
 use crate::rig::setup::RigSetup;
 use crate::schedule::plan::Kind;
-use crate::schedule::tests::{hex, planned};
 use crate::suspension::Suspensions;
 
 mod attended;
@@ -49,7 +49,7 @@ pub(super) fn engine() -> (StandIns, Engine) {
     (axes, engine)
 }
 
-/// As `engine`, with the handle for requests.
+/// As `engine`, with the handle for requests. A run that waits is left once the handle is dropped.
 pub(super) fn with_handle() -> (StandIns, Engine, Handle) {
     let axes = StandIns::default();
     let (engine, handle) = on(&axes);
@@ -68,19 +68,6 @@ fn on(axes: &StandIns) -> (Engine, Handle) {
     let (skin, tasks) = (stage.bench.skin.clone(), engine.serve_stops(&stage.bench));
     engine.connected(skin, BTreeMap::new(), Some(stage), clock, wires, tasks).unwrap();
     (engine, handle)
-}
-
-/// A run of one tip.
-pub(super) fn job() -> Job {
-    Job {
-        run: RunUid::new(),
-        scan_id: 1,
-        plan: planned(&hex(3, "tips = [1]\nconfigurations = 2\ndepths = 2\n")),
-        predicted_trial_s: 1.0,
-        auto_resume: true,
-        has_waited: false,
-        bytes_per_trial: 4000,
-    }
 }
 
 /// The stage and the control of an engine.
@@ -156,9 +143,7 @@ async fn stop(engine: &mut Engine) {
     engine.control.estop.press("test");
     engine.control.latch(&Trip { kind: TripKind::Estop, detail: "test".into() });
     let known = || engine.control.estop.pressed().and_then(|press| press.acknowledged_ms());
-    while known().is_none() {
-        tokio::time::sleep(Duration::from_millis(1)).await;
-    }
+    until(|| known().is_some()).await;
 }
 
 /// The answer to a request that arrives while something moves, and whether the motion continues.
@@ -337,12 +322,7 @@ async fn an_e_stop_while_the_wires_are_opened_leaves_them_open_for_the_stops_and
         let stops = estop.pressed().map_or_else(Vec::new, |press| press.stops());
         stops.len() == 4 && stops.iter().all(|stop| stop.error.is_some())
     };
-    let tried = async {
-        while !is_tried() {
-            tokio::time::sleep(Duration::from_millis(10)).await;
-        }
-    };
-    tokio::time::timeout(Duration::from_secs(20), tried).await.expect("a stop for each axis");
+    until(is_tried).await;
     assert!(engine.reset(estop.presses(), None).await.is_err());
 }
 

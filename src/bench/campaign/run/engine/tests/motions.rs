@@ -9,12 +9,13 @@ use super::{answered, engine, latched, parts, signs, suspensions, tripped, with_
 use crate::campaign::bench::interlock::TripKind;
 use crate::campaign::bench::rig_state::RigState;
 use crate::campaign::bench::stage::{AxisName, Height};
-use crate::campaign::bench::stand_in::StandIn;
+use crate::campaign::bench::stand_in::{StandIn, soon, until};
 use crate::campaign::bench::tare::{Accept, tare_on_request, tare_untouched};
 use crate::campaign::bench::travel::Target;
 use crate::campaign::run::halt::Halt;
 use crate::campaign::safe_end::raise_as_planned;
 use crate::campaign::shown::command::{Refusal, Request};
+use crate::campaign::shown::rig_action::RigAction;
 use crate::campaign::shown::status::Motion;
 use crate::clock::Clock;
 use crate::rig::traits::AxisStatus;
@@ -59,17 +60,14 @@ async fn an_abort_during_a_raise_is_accepted_at_once_and_ends_the_motion_once_z_
     let mut status = handle.watch_status();
     let jog = async {
         handle.ask(Request::Jog { axis: "x".into(), to_mm: 100.0 }).await.unwrap();
-        while starts(&axes.z) == z_starts {
-            tokio::time::sleep(Duration::from_millis(1)).await;
-        }
+        until(|| starts(&axes.z) > z_starts).await;
         let aborted = handle.ask(Request::AbortMotion).await;
         let stops = axes.stops();
         *axes.z.status.lock() = AxisStatus { position: 40.0, ..down };
         drop(status.wait_for(|status| status.rig.safe_end.is_some()).await.unwrap());
         (aborted, stops)
     };
-    let jog = tokio::time::timeout(Duration::from_secs(30), jog);
-    let (aborted, stops) = answered(&mut engine, jog).await.expect("it ends");
+    let (aborted, stops) = answered(&mut engine, soon(jog)).await;
     assert_eq!((aborted, stops), (Ok(()), 0), "accepted while z rises, which no stop ends");
     assert_eq!(starts(&axes.x), x_starts);
     assert_eq!(latched(&engine), None);
@@ -151,18 +149,33 @@ async fn an_abort_during_a_tare_waits_for_no_frame() {
     // While the cells are read, and once only the frames are awaited.
     for samples in [100, 1] {
         let (axes, mut engine, handle) = with_handle();
-        *axes.skin.takes.lock() = Duration::from_secs(60);
+        *axes.skin.takes.lock() = Duration::from_secs(600);
         let (stage, control) = parts(&mut engine);
         let tare = tare_untouched(stage, control, samples, Accept::AnyZero);
         let abort = async {
             tokio::time::sleep(Duration::from_millis(300)).await;
             handle.ask(Request::AbortMotion).await
         };
-        let both = async { tokio::join!(tare, abort) };
-        let both = tokio::time::timeout(Duration::from_secs(30), both).await;
-        let (tared, aborted) = both.expect("it ends");
+        let (tared, aborted) = soon(async { tokio::join!(tare, abort) }).await;
         assert!(matches!(tared, Err(Halt::Asked)) && aborted.is_ok(), "{tared:?}");
     }
+}
+
+#[tokio::test]
+async fn untouched_frames_of_a_stream_that_is_opened_again_meanwhile_are_in_no_mean_with_others() {
+    let (axes, mut engine, handle) = with_handle();
+    let opened_at = jiff::Timestamp::UNIX_EPOCH;
+    *axes.skin.since.lock() = Some(opened_at);
+    let (stage, control) = parts(&mut engine);
+    tare_untouched(stage, control, 1, Accept::AnyZero).await.unwrap();
+    assert_eq!(handle.untouched().expect("frames").stream_since, Some(opened_at));
+    let again = async { *axes.skin.since.lock() = Some(jiff::Timestamp::now()) };
+    // In this order: the frames are awaited before it is opened again.
+    let tare = tare_untouched(stage, control, 1, Accept::AnyZero);
+    let (tared, ()) = futures::join!(tare, again);
+    tared.unwrap();
+    let skin = handle.untouched().expect("frames");
+    assert_eq!(skin.stream_since, Some(skin.at));
 }
 
 #[tokio::test]
@@ -172,27 +185,31 @@ async fn a_tare_on_request_is_refused_unless_z_is_measured_clear_of_the_skin() {
     axes.cells.volts.lock()[0] = 0.65;
     let zeros_v = |engine: &Engine| engine.stage().expect("a stage").tare_v;
     let (before_v, clear) = (zeros_v(&engine), axes.z.present());
-    for (z, why) in [
-        (AxisStatus { position: 60.0, ..clear }, "z at 60.000 mm, limit "),
-        (AxisStatus { moving: true, ..clear }, "z still moves, at 0.000 mm"),
-        (AxisStatus { homed: false, ..clear }, "z is not homed, and its position is not known"),
-        (AxisStatus { position: -30.0, ..clear }, "z measured at -30.000, outside its travel"),
-        (AxisStatus { alarm: Some(1), ..clear }, "z reports alarm 0x1"),
-        (AxisStatus { ready: false, ..clear }, "z is not ready, without an alarm"),
+    let [home, clears] = ["home it first (palpate rig home)", "clear the cause, then home it "];
+    for (z, why, next) in [
+        (AxisStatus { position: 60.0, ..clear }, "z at 60.000 mm, limit ", home),
+        (AxisStatus { moving: true, ..clear }, "z still moves, at 0.000 mm", "wait until z is at"),
+        (AxisStatus { homed: false, ..clear }, "z is not homed, and its position is not", home),
+        (AxisStatus { position: -30.0, ..clear }, "z measured at -30.000, outside its", clears),
+        (AxisStatus { alarm: Some(1), ..clear }, "z reports alarm 0x1", clears),
+        (AxisStatus { ready: false, ..clear }, "z is not ready, without an alarm", clears),
     ] {
         *axes.z.status.lock() = z;
         let refused = answered(&mut engine, handle.ask(Request::Tare)).await;
         let Err(Refusal::State(words)) = &refused else { panic!("{why}: {refused:?}") };
-        let (begins, next) = (
-            format!("tare is not possible: {why}"),
-            "; the rig is disarmed: home it first (palpate rig home)",
-        );
-        assert!(words.starts_with(&begins) && words.ends_with(next), "{words}");
+        let (begins, next) =
+            (format!("tare is not possible: {why}"), format!("; the rig is disarmed: {next}"));
+        assert!(words.starts_with(&begins) && words.contains(&next), "{words}");
+        engine.look().await;
+        let offered = RigAction::Tare.refused_now(&handle.status());
+        assert_eq!(offered.as_ref(), Some(words), "it is not offered");
     }
     assert_eq!(zeros_v(&engine), before_v);
     let starts = axes.z.starts.load(Ordering::SeqCst);
     assert_eq!((starts, axes.stops(), latched(&engine)), (0, 0, None), "nothing moves for it");
     *axes.z.status.lock() = clear;
+    engine.look().await;
+    assert_eq!(RigAction::Tare.refused_now(&handle.status()), None);
     assert_eq!(answered(&mut engine, handle.ask(Request::Tare)).await, Ok(()));
     assert!(zeros_v(&engine)[0] > before_v[0]);
 }
@@ -205,14 +222,10 @@ async fn a_tare_on_request_keeps_the_last_zeros_if_z_sinks_meanwhile() {
     let before_v = stage.tare_v;
     let tare = tare_on_request(stage, control, None, 4);
     let sinks = async {
-        while axes.cells.readings.load(Ordering::SeqCst) == 0 {
-            tokio::time::sleep(Duration::from_millis(1)).await;
-        }
+        until(|| axes.cells.readings.load(Ordering::SeqCst) > 0).await;
         axes.z.status.lock().position = 60.0;
     };
-    let both = async { tokio::join!(tare, sinks) };
-    let both = tokio::time::timeout(Duration::from_secs(30), both).await;
-    let (tared, ()) = both.expect("it ends");
+    let (tared, ()) = soon(async { tokio::join!(tare, sinks) }).await;
     let Err(Halt::Failed(words)) = &tared else { panic!("{tared:?}") };
     assert!(words.starts_with("tare is not possible: z at 60.000 mm, limit "), "{words}");
     assert_eq!(stage.tare_v, before_v);

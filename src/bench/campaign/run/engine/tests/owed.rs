@@ -172,7 +172,6 @@ async fn hands_are_called_to_raised_tips_only_if_each_axis_stands_and_no_cell_re
         begin(&mut engine, &job);
         axes.radial.status.lock().moving = is_moving;
         let (wanted, mut attempts) = (Halt::Needs(Wanted::Tips { tips: 1 }), Attempts::default());
-        // Without a handle there is no request to wait for.
         let next = engine.decide(&job, wanted, &mut attempts, &mut 0).await;
         assert!(matches!(next, Next::Leave));
         assert_eq!(engine.control.run(), RunState::Paused(why), "{is_moving} {volts}");

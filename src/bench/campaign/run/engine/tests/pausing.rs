@@ -81,7 +81,6 @@ async fn a_run_that_is_resumed_after_a_pause_waits_for_no_failed_attempt_before_
     // The pause was requested before the safe end of the attempt was complete.
     let mut attempts = Attempts { has_failed: true, ..Attempts::default() };
     engine.control.run_event(RunEvent::PauseNow).unwrap();
-    // Without a handle there is no request to wait for.
     let next = engine.decide(&job, Halt::Asked, &mut attempts, &mut 0).await;
     assert!(matches!(next, Next::Leave));
     engine.control.run_event(RunEvent::Resume).unwrap();
@@ -98,7 +97,6 @@ async fn suspended_while_it_waits(why: &str) -> (Option<String>, RunState) {
     let (job, (_, mut engine, handle)) = (job(), with_handle());
     trip(&mut engine, &job);
     let request = Request::Suspend(job.run, why.to_owned());
-    // Without a handle there is no request to wait for.
     let suspend = async move { handle.ask(request).await };
     let mut attempts = Attempts::default();
     let (suspended, next) = tokio::join!(suspend, engine.wait(&job, &mut attempts, None));
@@ -127,7 +125,6 @@ async fn a_suspension_while_the_rig_homes_for_an_automatic_resume_states_its_rea
         handle.ask(request).await.unwrap();
         let waiting_for = |now: &Status| now.run.as_ref()?.waiting_for.clone();
         let is_stated = |now: &Status| waiting_for(now).as_deref() == Some("a full disk");
-        // Without a handle there is no request to wait for.
         let stated = status.wait_for(is_stated);
         tokio::time::timeout(Duration::from_secs(30), stated).await.is_ok()
     };

@@ -57,7 +57,6 @@ async fn a_repeat_that_may_still_withdraw_a_trial_is_answered_while_its_caller_w
     let repeat = Request::Repeat { trial: Some(0), why: "a weight slipped".into() };
     // Most of the time has passed.
     let decided_at = (jiff::Timestamp::now(), Instant::now() - Duration::from_secs(8));
-    // Without a handle there is no request to wait for.
     let repeats = async move { handle.ask_since(repeat, 0, decided_at).await };
     let mut attempts = Attempts::default();
     let (refused, next) = tokio::join!(repeats, engine.wait(&job, &mut attempts, None));

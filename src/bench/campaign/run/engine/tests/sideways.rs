@@ -281,11 +281,17 @@ async fn an_abort_of_a_lateral_motion_or_homing_waits_for_no_cell() {
 }
 
 #[tokio::test]
-async fn no_axis_goes_on_without_a_sample_while_the_wire_still_waits_for_one() {
-    for name in [AxisName::Z, AxisName::X] {
+async fn no_axis_goes_on_while_the_wire_still_waits_for_a_sample_or_the_reply_to_its_start() {
+    for (name, is_started) in
+        [(AxisName::Z, true), (AxisName::Z, false), (AxisName::X, true), (AxisName::X, false)]
+    {
         let (axes, mut engine) = engine();
         let axis = if name == AxisName::Z { &axes.z } else { &axes.x };
-        axis.keep_moving();
+        if is_started {
+            axis.keep_moving();
+        } else {
+            *axis.starts_take.lock() = Duration::from_secs(20);
+        }
         let (stage, control) = parts(&mut engine);
         stage.config.limits.sample_age_ms = Some(100);
         let began = Instant::now();
@@ -296,26 +302,12 @@ async fn no_axis_goes_on_without_a_sample_while_the_wire_still_waits_for_one() {
             }
             stage.travel(control, &[target]).await
         };
-        let (moved, ()) = tokio::join!(travel, silence(&axes, axis));
-        tripped(moved, TripKind::Stale);
-        assert!(began.elapsed() < Duration::from_secs(2), "{:?}", began.elapsed());
-    }
-}
-
-#[tokio::test]
-async fn no_axis_goes_on_while_the_wire_still_waits_for_the_reply_to_its_start() {
-    for name in [AxisName::Z, AxisName::X] {
-        let (axes, mut engine) = engine();
-        let axis = if name == AxisName::Z { &axes.z } else { &axes.x };
-        *axis.starts_take.lock() = Duration::from_secs(20);
-        let (stage, control) = parts(&mut engine);
-        stage.config.limits.sample_age_ms = Some(100);
-        let (began, target) = (Instant::now(), Target::of(name, 100.0));
-        let moved = if name == AxisName::Z {
-            stage.checked_travel(control, target).await
-        } else {
-            stage.travel(control, &[target]).await
+        let falls_silent = async {
+            if is_started {
+                silence(&axes, axis).await;
+            }
         };
+        let (moved, ()) = tokio::join!(travel, falls_silent);
         tripped(moved, TripKind::Stale);
         assert!(began.elapsed() < Duration::from_secs(2), "{:?}", began.elapsed());
     }

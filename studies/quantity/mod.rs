@@ -1,5 +1,6 @@
-//! A quantity of whole frames on any skin: nets compared with ridge and kernel ridge regression, on the same rows.
-//! Uses: `lab`, `budget`, `evaluate::table`. Never: a net without the two regressions.
+//! A quantity of whole frames on any skin: nets compared with ridge and kernel ridge regression, on the same rows of a
+//! dataset, or of each of several, such as one for each batch that is excluded from training.
+//! Uses: `lab`, `budget`, `joined`, `evaluate::table`. Never: a net without the two regressions.
 
 use serde_json::{Value, json};
 
@@ -13,14 +14,18 @@ use crate::lab::{Lab, StudyError, Training};
 use crate::learn::targets::Quantity;
 use crate::sheet::Sheet;
 
+mod joined;
+
+use joined::joined;
+
 /// Nets that are compared, and the rows and the quantity on which they are.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Compared {
     /// Quantity that is answered.
     pub quantity: Quantity,
-    /// Name or id of a dataset with a split.
-    pub dataset: String,
-    /// Conditions on its rows, each `COLUMN__lte=VALUE`.
+    /// Names or ids of datasets with a split; each counts once in the mean of several.
+    pub datasets: Vec<String>,
+    /// Conditions on their rows, each `COLUMN__lte=VALUE`.
     pub conditions: Vec<String>,
     /// Recipes of nets to train: carried ones, or files.
     pub recipes: Vec<String>,
@@ -36,8 +41,18 @@ struct Entry {
     models: Vec<ModelId>,
 }
 
-/// Trains both regressions and the nets of the recipes, and scores them and the named nets on the rows of
-/// the test part.
+/// The nets of a comparison on one dataset.
+struct OnDataset {
+    dataset: String,
+    split_by: String,
+    label: &'static str,
+    /// In the same order on every dataset; empty if no row of the test part has the quantity.
+    entries: Vec<Entry>,
+    reports: Vec<EvaluationReport>,
+}
+
+/// Trains both regressions and the nets of the recipes on each dataset, and scores them and the named nets on the rows
+/// of its test part. The result of several datasets has the mean over them.
 ///
 /// # Errors
 /// Error of the lab if a training or an evaluation fails; `StudyError::OtherQuantity` if a named net answers another
@@ -47,14 +62,30 @@ pub async fn quantity<L: Lab>(
     budget: &Budget,
     compared: &Compared,
 ) -> Result<Sheet, L::Error> {
-    let dataset = budget.dataset(&compared.dataset);
+    let mut all = Vec::new();
+    for dataset in &compared.datasets {
+        all.push(on_dataset(lab, budget, compared, budget.dataset(dataset)).await?);
+    }
+    Ok(match &all[..] {
+        [one] => one.sheet(compared.quantity),
+        several => joined(several, compared.quantity),
+    })
+}
+
+/// Trains and scores on one dataset, whose name has the split of the budget.
+async fn on_dataset<L: Lab>(
+    lab: &L,
+    budget: &Budget,
+    compared: &Compared,
+    dataset: String,
+) -> Result<OnDataset, L::Error> {
     let split_by = lab.split_by(&dataset).await?;
     let (mut entries, mut reports) = (Vec::new(), Vec::new());
     let baselines = REGRESSIONS.map(|(recipe, name)| (recipe.to_owned(), name.to_owned(), true));
     let recipes = compared.recipes.iter().map(|recipe| (recipe.clone(), recipe.clone(), false));
     let mut scored: Vec<(String, bool, String)> = Vec::new();
     for (recipe, name, is_baseline) in baselines.into_iter().chain(recipes) {
-        let model = lab.train(&training(budget, compared, &recipe)).await?;
+        let model = lab.train(&training(budget, compared, &dataset, &recipe)).await?;
         scored.push((name, is_baseline, model.to_string()));
     }
     scored.extend(compared.nets.iter().map(|net| (net.clone(), false, net.clone())));
@@ -76,30 +107,38 @@ pub async fn quantity<L: Lab>(
         reports.push(report);
     }
     let label = reports.first().map_or("", |report| report.label.as_str());
-    let name = compared.quantity.name();
-    let verdicts = verdicts(&entries);
-    let text = format!(
-        "# {}{} on the test part of {} ({label}, split by {split_by})\n\n{}\n{verdicts}{}{}",
-        name[..1].to_uppercase(),
-        &name[1..],
-        dataset,
-        markdown(&head(compared.quantity), &rows(&entries)),
-        remarks(&entries),
-        notes(&reports),
-    );
-    let numbers = json!({ "quantity": name, "dataset": dataset, "split_by": split_by,
-        "label": label, "nets": entries.iter().map(Entry::numbers).collect::<Vec<Value>>(),
-        "verdicts": verdicts.lines().collect::<Vec<_>>() });
-    Ok(Sheet::new(&format!("quantity-{name}"), text, numbers, Vec::new()))
+    Ok(OnDataset { dataset, split_by, label, entries, reports })
 }
 
-fn training(budget: &Budget, compared: &Compared, recipe: &str) -> Training {
+impl OnDataset {
+    /// The result of this dataset alone.
+    fn sheet(&self, quantity: Quantity) -> Sheet {
+        let Self { dataset, split_by, label, entries, reports } = self;
+        let name = quantity.name();
+        let verdicts = verdicts(entries, |_, _| String::new());
+        let notes = notes(reports).into_iter().map(|note| format!("Note: {note}.\n"));
+        let text = format!(
+            "# {}{} on the test part of {dataset} ({label}, split by {split_by})\n\n{}\n{verdicts}{}{}",
+            name[..1].to_uppercase(),
+            &name[1..],
+            markdown(&head(quantity), &rows(entries)),
+            remarks(entries),
+            notes.collect::<String>(),
+        );
+        let numbers = json!({ "quantity": name, "dataset": dataset, "split_by": split_by,
+            "label": label, "nets": entries.iter().map(Entry::numbers).collect::<Vec<Value>>(),
+            "verdicts": verdicts.lines().collect::<Vec<_>>() });
+        Sheet::new(&format!("quantity-{name}"), text, numbers, Vec::new())
+    }
+}
+
+fn training(budget: &Budget, compared: &Compared, dataset: &str, recipe: &str) -> Training {
     // A recipe file's name, without its folder and ending.
     let stem = recipe.rsplit('/').next().unwrap_or(recipe).trim_end_matches(".toml");
     Training {
         recipe: recipe.into(),
         stem: format!("{stem}-{}", compared.quantity.name()),
-        dataset: Some(budget.dataset(&compared.dataset)),
+        dataset: Some(dataset.into()),
         conditions: compared.conditions.clone(),
         answers: Some(compared.quantity),
         epochs: budget.epochs,
@@ -123,24 +162,24 @@ fn rows(entries: &[Entry]) -> Vec<Vec<String>> {
     let Some(first) = entries.first() else { return Vec::new() };
     let ridge = first.scores.cost();
     let mut rows: Vec<Vec<String>> = entries.iter().map(|entry| entry.row(ridge)).collect();
-    let constant = format!("{:.2}", first.scores.constant_error);
-    let absent = || "-".to_owned();
-    rows.push(vec![
-        "best constant".into(),
-        first.scores.rows.to_string(),
-        constant,
-        absent(),
-        absent(),
-        absent(),
-    ]);
+    rows.push(constant_row(&first.scores));
     rows
+}
+
+/// The row of the best constant on the rows of these scores.
+fn constant_row(scores: &QuantityScores) -> Vec<String> {
+    let constant = format!("{:.2}", scores.constant_error);
+    let absent = || "-".to_owned();
+    vec!["best constant".into(), scores.rows.to_string(), constant, absent(), absent(), absent()]
 }
 
 fn with_interval(mean: Mean, scale: f64, digits: usize) -> String {
     let shown = |value: f64| format!("{:.digits$}", scale * value);
-    match mean.low_95.zip(mean.high_95) {
-        Some((low, high)) => format!("{} [{}, {}]", shown(mean.mean), shown(low), shown(high)),
-        None => shown(mean.mean),
+    match (mean.low_95.zip(mean.high_95), mean.sd) {
+        (Some((low, high)), _) => format!("{} [{}, {}]", shown(mean.mean), shown(low), shown(high)),
+        // A mean over datasets.
+        (None, Some(sd)) => format!("{} ± {}", shown(mean.mean), shown(sd)),
+        (None, None) => shown(mean.mean),
     }
 }
 
@@ -163,13 +202,14 @@ impl Entry {
 }
 
 /// For each net whether it beats each regression, and whether that may be chance: a net that does not is not worth its
-/// training.
-fn verdicts(entries: &[Entry]) -> String {
-    let (baselines, nets): (Vec<&Entry>, Vec<&Entry>) =
-        entries.iter().partition(|entry| entry.is_baseline);
+/// training. `more`: end of a sentence, by the indices of net and regression.
+fn verdicts(entries: &[Entry], more: impl Fn(usize, usize) -> String) -> String {
+    let those = |baselines: bool| {
+        entries.iter().enumerate().filter(move |(_, entry)| entry.is_baseline == baselines)
+    };
     let mut text = String::new();
-    for net in nets {
-        for baseline in &baselines {
+    for (at, net) in those(false) {
+        for (of, baseline) in those(true) {
             let (cost, other) = (net.scores.cost(), baseline.scores.cost());
             let words = if cost < other {
                 let less = 100.0 * (1.0 - cost / other);
@@ -179,7 +219,7 @@ fn verdicts(entries: &[Entry]) -> String {
             } else {
                 format!("does NOT beat {}", baseline.name)
             };
-            text += &format!("{} {words}.\n", net.name);
+            text += &format!("{} {words}{}.\n", net.name, more(at, of));
         }
     }
     text
@@ -199,11 +239,11 @@ fn remarks(entries: &[Entry]) -> String {
 }
 
 /// Restrictions of the reports, each once.
-fn notes(reports: &[EvaluationReport]) -> String {
+fn notes(reports: &[EvaluationReport]) -> Vec<&String> {
     let mut notes: Vec<&String> = reports.iter().flat_map(|report| &report.notes).collect();
     notes.sort();
     notes.dedup();
-    notes.into_iter().map(|note| format!("Note: {note}.\n")).collect()
+    notes
 }
 
 #[cfg(test)]
@@ -215,7 +255,7 @@ mod tests {
     fn compared() -> Compared {
         Compared {
             quantity: Quantity::Position,
-            dataset: "pad".into(),
+            datasets: vec!["pad".into()],
             conditions: vec!["contact_count=1".into()],
             recipes: vec!["my/mlp.toml".into()],
             nets: vec!["mine".into()],
@@ -269,9 +309,8 @@ mod tests {
         );
     }
 
-    #[test]
-    fn a_net_that_does_not_beat_a_regression_says_so() {
-        let entry = |name: &str, is_baseline, error| Entry {
+    fn entry(name: &str, is_baseline: bool, error: f64) -> Entry {
+        Entry {
             name: name.into(),
             is_baseline,
             scores: QuantityScores {
@@ -284,10 +323,14 @@ mod tests {
                 constant_error: 9.0,
             },
             models: Vec::new(),
-        };
+        }
+    }
+
+    #[test]
+    fn a_net_that_does_not_beat_a_regression_says_so() {
         let mut entries =
             [entry("ridge", true, 4.0), entry("kernel ridge", true, 2.0), entry("mlp", false, 3.0)];
-        let text = verdicts(&entries);
+        let text = verdicts(&entries, |_, _| String::new());
         assert!(text.contains("mlp beats ridge: 25 % less error."), "{text}");
         assert!(text.contains("mlp does NOT beat kernel ridge."), "{text}");
         assert!(remarks(&entries).contains("1 rows without"), "{}", remarks(&entries));
@@ -296,7 +339,67 @@ mod tests {
             let error = scores.error.mean;
             scores.error = Mean::of_rows(&[error - 2.0, error + 2.0], 1).unwrap();
         }
-        let text = verdicts(&entries);
+        let text = verdicts(&entries, |_, _| String::new());
         assert!(text.contains("25 % less error, but their 95 % intervals overlap."), "{text}");
+    }
+
+    #[test]
+    fn several_datasets_are_one_table_of_their_means() {
+        let on = |dataset: &str, errors: [f64; 3]| OnDataset {
+            dataset: dataset.into(),
+            split_by: "run".into(),
+            label: "virtual",
+            entries: vec![
+                entry("ridge", true, errors[0]),
+                entry("kernel ridge", true, errors[1]),
+                entry("mlp", false, errors[2]),
+            ],
+            reports: Vec::new(),
+        };
+        let unscored = OnDataset { entries: Vec::new(), ..on("c", [0.0; 3]) };
+        let all = [on("a", [4.0, 2.0, 3.0]), on("b", [8.0, 6.5, 6.0]), unscored];
+        let sheet = joined(&all, Quantity::Force);
+        let text = &sheet.text;
+        assert!(
+            text.starts_with("# Force on the test parts of 3 datasets (virtual, split by run)")
+        );
+        for wanted in [
+            "mlp beats ridge: 25 % less error (less error on 2 of 2 datasets).",
+            "mlp does NOT beat kernel ridge (less error on 1 of 2 datasets).",
+            "2 rows without this quantity",
+            "c has no scores, and is not in the means.",
+        ] {
+            assert!(text.contains(wanted), "{wanted}: {text}");
+        }
+        let mut table: Vec<Vec<&str>> = Vec::new();
+        for line in text.lines().filter(|line| line.starts_with("| ")) {
+            table.push(line.trim_matches('|').split('|').map(str::trim).collect());
+        }
+        assert_eq!(table.len(), 1 + 1 + 4 * 3, "a head, a rule, three nets and a constant: {text}");
+        assert_eq!(table[8], ["mlp", "4", "4.50 ± 2.12", "4.50", "-", "0.75"]);
+        assert_eq!(table[10], ["b", "2", "6.00 [6.00, 6.00]", "6.00", "-", "0.75"]);
+        assert_eq!(table[13], ["b", "2", "9.00", "-", "-", "-"]);
+        let numbers = &sheet.numbers;
+        assert_eq!(numbers["datasets"][1]["nets"][2]["scores"]["error"]["mean"], 6.0);
+        let error = &numbers["nets"][2]["scores"]["error"];
+        assert_eq!(error["mean"], 4.5);
+        assert_eq!(error["n"], 2, "datasets");
+        assert_eq!(error.get("low_95"), None, "no interval of two datasets");
+    }
+
+    #[test]
+    fn nets_of_several_datasets_are_trained_and_scored_on_each() {
+        let lab = FakeLab { scores: true, ..FakeLab::default() };
+        let datasets = vec!["without-1".into(), "without-2".into()];
+        let compared = Compared { quantity: Quantity::Force, datasets, ..compared() };
+        let sheet = result(quantity(&lab, &small(), &compared)).unwrap();
+        let trained = lab.trained.lock().unwrap();
+        let on: Vec<&str> = trained.iter().filter_map(|t| t.dataset.as_deref()).collect();
+        assert_eq!(on, [["without-1"; 3], ["without-2"; 3]].concat());
+        let scored = lab.scored.lock().unwrap();
+        let on: Vec<&str> = scored.iter().map(|request| request.dataset.as_str()).collect();
+        assert_eq!(on, [["without-1"; 4], ["without-2"; 4]].concat());
+        assert_eq!(sheet.numbers["nets"][0]["models"].as_array().map(Vec::len), Some(0));
+        assert_eq!(sheet.numbers["verdicts"].as_array().map(Vec::len), Some(4));
     }
 }
