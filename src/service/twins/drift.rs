@@ -16,7 +16,8 @@ use crate::schedule::experiment::TwinLimits;
 const WORST_PAIRS: usize = 5;
 /// Share of the window that must be filled before the fit is evaluated.
 const WINDOW_SHARE: f64 = 0.5;
-/// Share of its limit that a value must not exceed before a warning ends: a value that varies about its limit warns once.
+/// Share of its limit that a value must not exceed before a warning ends: a value that varies about its limit warns
+/// once.
 const END_SHARE: f64 = 0.8;
 
 /// A trial with its twin.
@@ -102,19 +103,29 @@ impl RollingFit {
     }
 }
 
+/// What has exceeded its limit since a warning began.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+struct Excess {
+    /// Whether the median has.
+    median: bool,
+    /// Largest number of pairs of electrodes that have at the same time.
+    pairs: usize,
+}
+
 /// The last trials of a run with their twins.
 #[derive(Debug)]
 pub struct DriftWatch {
     limits: TwinLimits,
     electrodes: usize,
     window: VecDeque<Pairing>,
-    level: Level,
+    /// What was reported; nothing without a warning.
+    warned: Excess,
 }
 
 impl DriftWatch {
     /// Starts with an empty window, for a sensor with `electrodes` electrodes.
     pub fn new(limits: TwinLimits, electrodes: usize) -> Self {
-        Self { limits, electrodes, window: VecDeque::new(), level: Level::Ok }
+        Self { limits, electrodes, window: VecDeque::new(), warned: Excess::default() }
     }
 
     /// Limits of the experiment.
@@ -122,8 +133,9 @@ impl DriftWatch {
         &self.limits
     }
 
-    /// Adds a trial; returns the fit if its level has changed. After a suspension the window is
-    /// cleared, so that a resumed run is not suspended again by the same trials.
+    /// Adds a trial; returns the fit if it suspends the run, if a warning begins or ends, and if more exceeds its limit
+    /// than was reported: a standing warning must not hide another cause. After a suspension the window is cleared, so
+    /// that a resumed run is not suspended again by the same trials.
     pub fn push(&mut self, pairing: Pairing) -> Option<RollingFit> {
         if pairing.max_force_n < self.limits.min_force_n {
             return None;
@@ -137,22 +149,28 @@ impl DriftWatch {
             return None;
         }
         let fit = self.fit();
-        if fit.level == self.level || fit.level == Level::Ok && self.is_near_limit(&fit) {
-            return None;
+        let before = self.warned;
+        match fit.level {
+            Level::Suspend => {
+                self.window.clear();
+                self.warned = Excess::default();
+                return Some(fit);
+            }
+            Level::Warn => {
+                self.warned.median |= fit.median_fvu > self.limits.warn_fvu;
+                self.warned.pairs = before.pairs.max(fit.pairs_over_limit);
+            }
+            Level::Ok if self.is_near_limit(&fit) => {}
+            Level::Ok => self.warned = Excess::default(),
         }
-        self.level = fit.level;
-        if fit.level == Level::Suspend {
-            self.window.clear();
-            self.level = Level::Ok;
-        }
-        Some(fit)
+        (self.warned != before).then_some(fit)
     }
 
     /// Whether a value of the fit is so close to its limit that a warning continues.
     fn is_near_limit(&self, fit: &RollingFit) -> bool {
         let (median, pair) = (self.limits.warn_fvu, self.limits.pair_warn_fvu);
         fit.median_fvu > END_SHARE * median
-            || fit.worst_pairs.iter().any(|worst| worst.fvu > END_SHARE * pair)
+            || fit.worst_pairs.first().is_some_and(|worst| worst.fvu > END_SHARE * pair)
     }
 
     /// The fit over the current window.
@@ -232,6 +250,20 @@ mod tests {
             })
             .collect();
         assert_eq!(levels, [Level::Warn]);
+    }
+
+    #[test]
+    fn a_warning_does_not_hide_pairs_that_exceed_their_limit_later() {
+        let mut watch = DriftWatch::new(LIMITS, 2);
+        let told: Vec<(u32, usize)> = (0..40)
+            .filter_map(|n| {
+                let off = if n < 10 { 0.0 } else { 3.0 };
+                let fit = watch.push(pairing(n, 0.4, off))?;
+                Some((n, fit.pairs_over_limit))
+            })
+            .collect();
+        // Three of ten trials are off by 3 in one of the two readings of a pair: 27 of 20.
+        assert_eq!(told, [(4, 0), (12, 1)]);
     }
 
     #[test]
