@@ -24,7 +24,8 @@ use crate::store::{Bins, RunRow, Store, StoreResult, StoredParts};
 const BINS_MAX: u32 = 1000;
 /// Largest number of notable events, the newest ones.
 const NOTABLE_MAX: usize = 500;
-/// Events of notable kinds of which they are selected, the newest ones: a manual trial has two that are not notable.
+/// Largest number of events of notable kinds that are read for them, the newest ones: a manual trial has two that are
+/// not listed.
 const NOTABLE_READ: u32 = 5000;
 /// Largest numbers of changes of state and of estimates, the newest ones.
 const STATES_MAX: u32 = 5000;
@@ -124,14 +125,7 @@ pub async fn of_run(
 async fn read(app: &App, run: &RunRow, bins: u32) -> StoreResult<Arc<History>> {
     let store = &app.store;
     let kinds: Vec<&str> = notable_kinds().collect();
-    let mut notable = store.events_of_kinds(run.uid, &kinds, NOTABLE_READ).await?;
-    notable.retain(|event| {
-        let is_notable = importance(&event.kind, &event.data) >= Importance::Notable;
-        is_notable && !is_placement(&event.kind, &event.data)
-    });
-    let over = notable.len().saturating_sub(NOTABLE_MAX);
-    notable.drain(..over);
-    let events = notable.into_iter().map(NotableEvent::from).collect();
+    let events = notable(store.events_of_kinds(run.uid, &kinds, NOTABLE_READ).await?);
     let Some(from) = run.started_at else {
         return Ok(Arc::new(History { events, ..History::default() }));
     };
@@ -164,6 +158,16 @@ async fn read(app: &App, run: &RunRow, bins: u32) -> StoreResult<Arc<History>> {
         events,
         ..arranged(&stored, bins as usize)
     }))
+}
+
+/// The newest of these events that are at least notable, without placements of weights.
+fn notable(events: Vec<Event>) -> Vec<NotableEvent> {
+    let listed = events.into_iter().filter(|event| !is_placement(&event.kind, &event.data));
+    let mut notable: Vec<NotableEvent> = listed.map(NotableEvent::from).collect();
+    notable.retain(|event| event.importance >= Importance::Notable);
+    let over = notable.len().saturating_sub(NOTABLE_MAX);
+    notable.drain(..over);
+    notable
 }
 
 impl From<Event> for NotableEvent {
@@ -244,6 +248,25 @@ mod tests {
         assert_eq!((told.at, told.end, told.low, told.high), (at(0), at(100), at(95), at(105)));
         let unreadable = Event { data: json!({}), ..estimate(0, 1.0) };
         assert_eq!(prediction(&unreadable), None);
+    }
+
+    #[test]
+    fn placements_do_not_hide_what_matters_and_the_newest_events_are_kept() {
+        let event = |seq: i64, kind: &str, data: &serde_json::Value| {
+            let (kind, data) = (kind.to_owned(), data.clone());
+            Event { seq, run: None, at: Timestamp::UNIX_EPOCH, kind, data }
+        };
+        let (none, right) = (json!({}), json!({ "trial": 1, "verdict": "right" }));
+        let wanted = json!({ "wanted": { "trial": 1, "contacts": [] } });
+        let listed = |events: Vec<Event>| -> Vec<i64> {
+            notable(events).iter().map(|event| event.seq).collect()
+        };
+        let mut events = vec![event(1, "trip", &none)];
+        events.extend((2..800).map(|seq| event(seq, "wanted", &wanted)));
+        events.extend((800..1600).map(|seq| event(seq, "placed", &right)));
+        assert_eq!(listed(events), [1]);
+        let trips = listed((1..=501).map(|seq| event(seq, "trip", &none)).collect());
+        assert_eq!((trips.len(), trips[0]), (500, 2));
     }
 
     #[test]
