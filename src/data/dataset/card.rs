@@ -131,3 +131,31 @@ fn counts(card: &mut String, heading: &str, counts: &Value) -> std::fmt::Result 
     }
     Ok(())
 }
+
+#[cfg(test)]
+mod tests {
+    use jiff::Timestamp;
+    use serde_json::json;
+
+    use super::*;
+    use crate::ids::DatasetId;
+
+    #[test]
+    fn placed_weights_are_contacts_whatever_their_force() {
+        let run = |kind: &str| json!({ "kind": kind, "trials": 3, "deadband_n": 5.0 });
+        let row = DatasetRow {
+            id: DatasetId::unchecked("ds-1"),
+            name: "real".into(),
+            definition: json!({}),
+            rows: 6,
+            bytes: 9,
+            sha256: "ab".into(),
+            report: json!({}),
+            lineage: json!({ "runs": [run("real-hex"), run("real-random")] }),
+            created_at: Timestamp::UNIX_EPOCH,
+        };
+        let card = text(&row);
+        assert!(card.contains(": 3 trials, contacts from 5.0 N\n"), "{card}");
+        assert!(card.contains(": 3 trials, placed contacts\n"), "{card}");
+    }
+}
