@@ -145,7 +145,7 @@ fn what_happened_is_cut_with_a_command_for_the_rest_and_has_no_pause_of_each_pla
     }
     let page = html::page(&facts, time(70)).unwrap();
     let rest = "20 more: <code>palpate events 3 --important --limit 60</code>";
-    assert!(page.contains(rest), "{}", page.contains("more: "));
+    assert!(page.contains(rest), "{page}");
 }
 
 #[test]
@@ -174,6 +174,8 @@ fn faulty_trials_and_outliers_of_the_fit_are_named() {
     assert!(words(&facts).is_empty(), "without contact a frame is noise");
     facts.fit.median_fvu = Some(0.7);
     assert!(one(&facts).contains("palpate calibrate skin --run 3"));
+    facts.summary = summary(|s| s["run"]["kind"] = "real-random".into());
+    assert!(one(&facts).ends_with("FVU 0.70 of trials with contacts."), "{}", one(&facts));
 }
 
 #[test]
