@@ -134,7 +134,7 @@ async fn answer(client: &Client, what: What, at: &At) -> CliResult<()> {
         }
         What::Show { model } if model.parse::<CalibrationId>().is_ok() => {
             let limit = "is a calibration: palpate model serving shows the one that serves";
-            return Err(CliError::argument("MODEL", &model, limit));
+            return Err(CliError::argument("MODEL", model, limit));
         }
         What::Show { model } => {
             let model: ModelOut = client.get(&format!("/api/v1/models/{model}")).await?;

@@ -38,7 +38,8 @@ const BAR: usize = 30;
 /// Runs `palpate show`.
 ///
 /// # Errors
-/// `CliError::NoSuch` or `Refused` if there is no such run or trial; others as [`Client::send`].
+/// `CliError::Problems` if the text is not the name of a run or trial; `NoSuch` or `Refused` if there is no such run or
+/// trial; others as [`Client::send`].
 pub async fn show(client: &Client, args: &ShowArgs) -> CliResult<()> {
     if let Some(part) = args.raw {
         return raw::show(client, &args.what, part).await;
