@@ -357,7 +357,7 @@ fn twin_words(twins: &Value) -> Option<String> {
     let failed = twins["pool"]["last_error"].as_str();
     let failed = failed.map_or_else(String::new, |why| format!("; {why}"));
     let (made, trials) = (grouped(trials - pending), grouped(trials));
-    Some(format!("twins    {made} of {trials}{fit}{failed}"))
+    Some(format!("twins    {made} of {trials} of the newest run{fit}{failed}"))
 }
 
 /// The active run, as text. What it waits for is a line only if no need states it.

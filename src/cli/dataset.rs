@@ -21,7 +21,7 @@ use super::output::bytes;
 use super::table::{Table, count_or_dash, or_dash};
 use super::times::local;
 use super::view::rows;
-use super::{At, embed};
+use super::{At, DEFAULT_URL, embed};
 use crate::dataset::definition::Definition;
 use crate::file_kind::FileKind;
 use crate::syntax::parse_toml;
@@ -171,7 +171,8 @@ async fn prune(client: &Client, args: &PruneArgs) -> CliResult<()> {
         .showing("removing datasets")
         .post("/api/v1/datasets/prune", &body)
         .await?;
-    let mut table = Table::new("dataset | name | size> | last used |", "there are no datasets");
+    let mut table =
+        Table::new("dataset | name | size> | last used | result", "there are no datasets");
     for row in rows(&pruned, "datasets") {
         let used = row["last_used_at"].as_str().and_then(|at| at.parse().ok());
         let gone = if args.dry_run { "would be removed" } else { "removed" };
@@ -185,13 +186,15 @@ async fn prune(client: &Client, args: &PruneArgs) -> CliResult<()> {
         ]);
     }
     let freed = bytes(pruned["freed_bytes"].as_f64().unwrap_or_default());
-    let freed = match args.dry_run {
-        true => format!("{freed} would be freed; without --dry-run it is removed"),
-        false => format!("{freed} freed"),
+    let is_any_gone = rows(&pruned, "datasets").iter().any(|row| row["stays"].is_null());
+    let freed = match (is_any_gone, args.dry_run) {
+        (false, _) => "no dataset is removed".to_owned(),
+        (true, true) => format!("{freed} would be freed; without --dry-run it is removed"),
+        (true, false) => format!("{freed} freed"),
     };
     args.at.output().say(&pruned, format_args!("{table}\n{freed}"));
     let next = Next::of(&args.at);
-    match args.dry_run {
+    match is_any_gone && args.dry_run {
         true => next.same_command("without --dry-run", "removes them"),
         false => next.suggest("palpate dataset list", "shows what stays"),
     }
@@ -205,7 +208,7 @@ async fn show(client: &Client, args: &ShowArgs) -> CliResult<()> {
     let found: Value = client.get(&path).await?;
     let words = match args.lineage {
         true => format!("{found:#}"),
-        false => described(&found, client.url()),
+        false => described(&found, client.lasting_url()),
     };
     args.at.output().say(&found, words);
     Ok(())
@@ -234,7 +237,7 @@ async fn make(client: &Client, args: &MakeArgs) -> CliResult<()> {
         false => json!({ "name": what }),
     };
     let made = made(client, &body).await?;
-    args.at.output().say(&made, described(&made, client.url()));
+    args.at.output().say(&made, described(&made, client.lasting_url()));
     let id = text_of(&made["id"]);
     Next::of(&args.at)
         .suggest(format_args!("palpate dataset card {id}"), "its content, units and citation")
@@ -257,7 +260,7 @@ async fn make_each(client: &Client, args: &MakeArgs) -> CliResult<()> {
             Ok(row) => row,
             Err(error) => return Err(after(&items, &definition.name, error)),
         };
-        words.push(described(&row, client.url()));
+        words.push(described(&row, client.lasting_url()));
         items.push(row);
     }
     args.at.output().say(&json!({ "items": items }), words.join("\n\n"));
@@ -286,8 +289,8 @@ async fn made(client: &Client, body: &Value) -> CliResult<Value> {
     making::dataset(client, patient.post("/api/v1/datasets", body)).await
 }
 
-/// A dataset, as text.
-fn described(row: &Value, url: &str) -> String {
+/// A dataset, as text. `url`: that of a service that runs after the command, if there is one.
+fn described(row: &Value, url: Option<&str>) -> String {
     let (name, id) = (text_of(&row["name"]), text_of(&row["id"]));
     let rows = count_or_dash(&row["rows"]);
     let length = bytes(row["bytes"].as_f64().unwrap_or_default());
@@ -303,5 +306,21 @@ fn described(row: &Value, url: &str) -> String {
         }
     }
     words += "\n  pandas.read_parquet(..), polars.scan_parquet(..) or DuckDB's read_parquet(..) of";
-    words + &format!("\n  {url}{}", text_of(&row["url"]))
+    let serves = if url.is_some() { "" } else { ", while `palpate serve` runs" };
+    words + &format!("\n  {}{}{serves}", url.unwrap_or(DEFAULT_URL), text_of(&row["url"]))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_address_of_a_dataset_is_that_of_a_service_which_outlives_the_command() {
+        let row = json!({ "name": "real", "id": "ds-1", "rows": 12, "bytes": 1000,
+            "url": "/api/v1/data/ds-1.parquet" });
+        let last = |url| described(&row, url).lines().next_back().map(str::to_owned).unwrap();
+        assert_eq!(last(Some("http://rig:8081")), "  http://rig:8081/api/v1/data/ds-1.parquet");
+        let own = "  http://127.0.0.1:8080/api/v1/data/ds-1.parquet, while `palpate serve` runs";
+        assert_eq!(last(None), own);
+    }
 }

@@ -239,7 +239,7 @@ async fn started(
     let options = ServeOptions { in_place, ..options(folder, &RigFiles::read(None)?, purpose)? };
     let service = shown_wait("opening the data folder", Service::start(options)).await?;
     match Client::new(&service.url(), None, None) {
-        Ok(client) => Ok((client, service)),
+        Ok(client) => Ok((client.of_own_service(), service)),
         Err(error) => {
             service.shutdown().await;
             Err(error)

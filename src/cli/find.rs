@@ -38,6 +38,11 @@ fn named(text: &str) -> Option<Named<'_>> {
     (is_start && text.len() >= PREFIX_MIN).then(|| Named::Start(text.to_ascii_lowercase()))
 }
 
+/// Whether a text can be the name of a run.
+pub fn is_run(text: &str) -> bool {
+    named(text).is_some()
+}
+
 /// Returns the run that a person named.
 ///
 /// # Errors
@@ -94,7 +99,7 @@ mod tests {
         let whole = "01934f6e-7c1a-7000-8000-000000000000";
         assert_eq!(named(whole), Some(Named::Whole(whole)));
         for wrong in ["", "abc", "the last one", "3/1", "run-", "run-x"] {
-            assert_eq!(named(wrong), None, "{wrong}");
+            assert!(!is_run(wrong), "{wrong}");
         }
     }
 }

@@ -227,7 +227,11 @@ fn frames(path: &Path) -> CliResult<Vec<Vec<f32>>> {
         let frame = value.get("voltages_v").unwrap_or(&value);
         serde_json::from_value(frame.clone()).map_err(|_| wrong())
     };
-    lines.map(frame).collect()
+    let frames: Vec<Vec<f32>> = lines.map(frame).collect::<CliResult<_>>()?;
+    match frames.is_empty() {
+        true => Err(CliError::in_file(path, "has no frame: must have a line for each")),
+        false => Ok(frames),
+    }
 }
 
 /// Formats an answer for people.
@@ -331,6 +335,16 @@ pub async fn live(args: LiveArgs) -> CliResult<()> {
 mod tests {
     use super::*;
     use crate::infer::answer::{Alternative, Reading};
+
+    #[test]
+    fn a_file_without_frames_is_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("frames.jsonl");
+        for (text, count) in [("[1, 2]\n\n{\"voltages_v\": [3]}\n", Some(2)), ("\n", None)] {
+            std::fs::write(&file, text).unwrap();
+            assert_eq!(frames(&file).ok().map(|frames| frames.len()), count, "{text}");
+        }
+    }
 
     #[test]
     fn other_explanations_are_shown_with_their_probabilities() {

@@ -28,17 +28,25 @@ pub fn recipe_name(job: &JobOut) -> Option<String> {
 /// ended one.
 ///
 /// # Errors
-/// As [`Client::send`].
+/// `CliError::Problems` if the job is no training; others as [`Client::send`].
 pub async fn losses(client: &Client, job: &str) -> CliResult<String> {
     let running = client.text(&format!("/api/v1/jobs/{job}/losses")).await?;
     if !running.is_empty() {
         return Ok(running);
     }
-    let job: JobOut = client.get(&format!("/api/v1/jobs/{job}")).await?;
-    match job.task.result.as_ref().and_then(|result| result["model"].as_str()) {
+    let known: JobOut = client.get(&format!("/api/v1/jobs/{job}")).await?;
+    if recipe_name(&known).is_none() {
+        return Err(no_training(job));
+    }
+    match known.task.result.as_ref().and_then(|result| result["model"].as_str()) {
         Some(model) => client.text(&format!("/api/v1/models/{model}/losses")).await,
         None => Ok(String::new()),
     }
+}
+
+fn no_training(job: &str) -> CliError {
+    let limit = "is an evaluation, which has no losses: palpate job list shows the trainings";
+    CliError::argument("JOB", job, limit)
 }
 
 /// The labels that rows of a dataset have: `virtual`, or `measured and virtual` (`s2s-recon` may have both).
@@ -62,8 +70,7 @@ async fn labels(client: &Client, dataset: &DatasetId) -> CliResult<String> {
 pub async fn draw(client: &Client, name: &str, file: &Path) -> CliResult<()> {
     let job: JobOut = client.get(&format!("/api/v1/jobs/{name}")).await?;
     let Some(net) = recipe_name(&job) else {
-        let limit = "is an evaluation, which has no losses: palpate job list shows the trainings";
-        return Err(CliError::argument("JOB", name, limit));
+        return Err(no_training(name));
     };
     let losses = read(&losses(client, name).await?);
     if losses.is_empty() {

@@ -10,7 +10,7 @@ use reqwest::multipart::Part;
 use serde_json::{Value, json};
 
 use super::client::Client;
-use super::error::CliResult;
+use super::error::{CliError, CliResult};
 use super::files::{DEFAULT_SENSOR, read_input, write};
 use super::next::Next;
 use super::output::{Output, counted, say, say_json};
@@ -132,6 +132,10 @@ async fn answer(client: &Client, what: What, at: &At) -> CliResult<()> {
                 Output::Text => say(table(&models)),
             }
         }
+        What::Show { model } if model.parse::<CalibrationId>().is_ok() => {
+            let limit = "is a calibration: palpate model serving shows the one that serves";
+            return Err(CliError::argument("MODEL", model, limit));
+        }
         What::Show { model } => {
             let model: ModelOut = client.get(&format!("/api/v1/models/{model}")).await?;
             let manifest = toml::to_string_pretty(&model.manifest).unwrap_or_default();
@@ -246,7 +250,7 @@ fn words(serves: &ServesOut) -> String {
 fn table(models: &[ModelOut]) -> Table {
     let mut table = Table::new(
         "model | name | task | label | state | last score",
-        "there are no models: palpate train RECIPE",
+        "there are no models: palpate train RECIPE (calibrations: palpate model serving)",
     );
     models.iter().for_each(|model| table.push(cells(model)));
     table

@@ -42,6 +42,11 @@ pub fn second(at: Timestamp) -> String {
     at.to_zoned(TimeZone::system()).strftime("%Y-%m-%d %H:%M:%S").to_string()
 }
 
+/// Returns date and time to the second, local, with the offset of the zone, for a text that leaves the machine.
+pub fn zoned(at: Timestamp) -> String {
+    at.to_zoned(TimeZone::system()).strftime("%Y-%m-%d %H:%M:%S (UTC%:z)").to_string()
+}
+
 fn start(text: &str, now: &Zoned) -> Result<Timestamp, String> {
     let at = clock(text, now, Day::Next).and_then(|at| at.round(Unit::Millisecond).ok());
     at.ok_or_else(|| "must be like 22:00, 2026-11-24T22:00 or 2026-11-24T22:00:00+01:00".into())

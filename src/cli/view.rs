@@ -186,6 +186,11 @@ impl EventView {
         event::importance(&self.kind, &self.data)
     }
 
+    /// Whether it requests the placement of weights for a manual trial.
+    pub fn is_placement(&self) -> bool {
+        event::is_placement(&self.kind, &self.data)
+    }
+
     /// The event as text without its kind, for a column next to that of the kinds.
     pub fn sentence(&self) -> String {
         let words = event::words(&self.kind, &self.data);

@@ -89,6 +89,12 @@ pub fn importance(kind: &str, data: &Value) -> Importance {
     }
 }
 
+/// Whether an event requests the placement of weights for a manual trial. A person must see it while the run waits for
+/// it; there is one for each trial, and a list of what happened excludes them. A failed attempt has an event of its own.
+pub fn is_placement(kind: &str, data: &Value) -> bool {
+    kind == "wanted" && data["wanted"]["contacts"].is_array()
+}
+
 fn importance_of_state(data: &Value) -> Importance {
     let why = PausedWhy::deserialize(&data["why"]).ok();
     // The event `wanted` reports these.
@@ -279,6 +285,11 @@ mod tests {
         let placed = |verdict| importance("placed", &json!({ "verdict": verdict }));
         assert_eq!((placed("right"), placed("wrong")), (Importance::Routine, Importance::Look));
         assert_eq!(importance("trip", &json!({})), Importance::Act);
+        let weights = json!({ "words": "place", "wanted": { "trial": 3, "contacts": [] } });
+        assert_eq!(importance("wanted", &weights), Importance::Look, "while the run waits");
+        assert!(is_placement("wanted", &weights));
+        assert!(!is_placement("wanted", &json!({ "wanted": { "tips": 1 } })));
+        assert!(!is_placement("placed", &weights));
         assert_eq!(importance("a later kind", &json!({})), Importance::Routine);
     }
 

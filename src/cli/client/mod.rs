@@ -46,6 +46,8 @@ pub struct Client {
     work: Option<&'static str>,
     /// Time of the status that its requests follow; none for requests that are never late.
     status_at: Option<Timestamp>,
+    /// Whether the service is in this process, and ends with the command.
+    is_own: bool,
 }
 
 /// What answers at a URL.
@@ -82,7 +84,8 @@ impl Client {
         let url = url.trim_end_matches('/').into();
         let (tls, who) = (tls.into(), who());
         let answer_within = ANSWER_WAIT;
-        Ok(Self { url, http, tls, key, who, answer_within, work: None, status_at: None })
+        let (work, status_at, is_own) = (None, None, false);
+        Ok(Self { url, http, tls, key, who, answer_within, work, status_at, is_own })
     }
 
     /// Returns the same client with another deadline for answers.
@@ -106,9 +109,19 @@ impl Client {
         Self { status_at, ..self.clone() }
     }
 
+    /// Returns the same client of a service that is in this process, and ends with the command.
+    pub fn of_own_service(self) -> Self {
+        Self { is_own: true, ..self }
+    }
+
     /// URL of the service.
     pub fn url(&self) -> &str {
         &self.url
+    }
+
+    /// URL that is valid after the command; `None` for a service that ends with it.
+    pub fn lasting_url(&self) -> Option<&str> {
+        (!self.is_own).then_some(&*self.url)
     }
 
     /// Name of the client, for the log of actions.

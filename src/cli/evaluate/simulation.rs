@@ -17,7 +17,7 @@ use crate::cli::picture::Pictures;
 use crate::cli::twins::wait_for_twins;
 use crate::evaluate::frame_pairs::FramePair;
 use crate::evaluate::simulation::SimulationReport;
-use crate::store::{RunRow, TrialRow};
+use crate::store::{RunKind, RunRow, TrialRow};
 use crate::studies::simulation::{files, text};
 
 /// Longest wait without a new twin.
@@ -61,11 +61,14 @@ pub async fn simulation(client: &Client, args: &SimulationArgs) -> CliResult<()>
     }
     let numbers = json!({ "run": run.uid, "label": run.label, "twins": count, "report": report });
     args.at.output().say(&numbers, words);
-    next.suggest(
-        format_args!("palpate calibrate skin --run {number} --out skin.toml"),
-        "fits the model to this skin",
-    )
-    .say();
+    // Placed weights are for the evaluation of a calibration, which needs presses of other forces.
+    if run.kind != RunKind::RealRandom {
+        next = next.suggest(
+            format_args!("palpate calibrate skin --run {number} --out skin.toml"),
+            "fits the model to this skin",
+        );
+    }
+    next.say();
     Ok(())
 }
 

@@ -14,7 +14,7 @@ use crate::cli::progress::Counted;
 use crate::evaluate::simulation::SimulationReport;
 use crate::ids::RunUid;
 use crate::state::{PausedWhy, StoredState};
-use crate::store::{MAX_PAGE, RunRow, TwinCount};
+use crate::store::{MAX_PAGE, RunKind, RunRow, TwinCount};
 
 /// Columns of a trial that these commands read.
 const TRIAL_COLUMNS: &str = "trial_id,configuration,depth_index,depth_mm,tips,contact_count,max_force_n,\
@@ -171,11 +171,20 @@ pub fn why_words(why: Option<PausedWhy>) -> String {
     why.map_or_else(String::new, |why| format!(" ({})", why.as_str().replace('_', " ")))
 }
 
-/// Stored trials by the number of tips; `None` without a setting.
+/// A number of tips, or of the weights of a run of manual trials.
+pub fn tips_words(kind: RunKind, tips: u8) -> String {
+    match kind {
+        RunKind::RealRandom => counted(tips.into(), "weight", "weights"),
+        RunKind::RealHex | RunKind::Imported => counted(tips.into(), "tip", "tips"),
+    }
+}
+
+/// Stored trials by the number of tips or weights; `None` without a setting.
 pub fn settings_words(summary: &Summary) -> Option<String> {
-    let words = summary.settings.iter().map(|of| {
-        format!("{} with {}", grouped(of.stored), counted(of.tips.into(), "tip", "tips"))
-    });
+    let kind = summary.run.kind;
+    let words = summary.settings.iter();
+    let words =
+        words.map(|of| format!("{} with {}", grouped(of.stored), tips_words(kind, of.tips)));
     let words: Vec<String> = words.collect();
     (!words.is_empty()).then(|| words.join(", "))
 }

@@ -20,7 +20,7 @@ use crate::cli::next::Next;
 use crate::cli::output::grouped;
 use crate::cli::table::{Table, or_dash};
 use crate::cli::watch::answers::Tour;
-use crate::store::{RunRow, TrialRow};
+use crate::store::{RunKind, RunRow, TrialRow};
 
 /// Largest number of pairs whose frames are compared.
 const PAIRS_MAX: usize = 300;
@@ -72,7 +72,11 @@ impl Side {
             ("twins", grouped(self.twins.twins)),
             ("median FVU of the twins", or_dash(self.median_fvu.map(|fvu| format!("{fvu:.3}")))),
             ("seed", or_dash(run.seed)),
-            ("deadband, N", run.deadband_n.to_string()),
+            // Placed weights are contacts, whatever their force.
+            (
+                "deadband, N",
+                or_dash(Some(run.deadband_n).filter(|_| run.kind != RunKind::RealRandom)),
+            ),
             ("calibration", or_dash(run.calibration_id.as_ref().map(|id| id.as_str()))),
             ("version", run.version.clone()),
             (
@@ -148,11 +152,12 @@ fn facts<'a>(before: &'a Side, after: &'a Side) -> impl Iterator<Item = Change> 
 
 fn side_by_side(before: &Side, after: &Side) -> Table {
     let [a, b] = [before, after].map(|side| side.run().scan_id);
-    let mut table = Table::new(&format!("| run {a} | run {b} |"), "");
+    // The last column is cut at the width of a terminal.
+    let mut table = Table::new(&format!("| | run {a} | run {b}"), "");
     for change in facts(before, after) {
         let differs = if change.before == change.after { "" } else { "differs" };
         let value = |side: Option<String>| side.unwrap_or_default();
-        table.push([change.key, value(change.before), value(change.after), differs.into()]);
+        table.push([change.key, differs.into(), value(change.before), value(change.after)]);
     }
     table
 }

@@ -50,7 +50,9 @@ pub async fn events(args: EventsArgs) -> CliResult<()> {
 impl EventsArgs {
     /// Whether an event is shown, of those that the service selects.
     fn selects(&self, event: &EventView) -> bool {
-        !self.important || event.importance() >= Importance::Notable
+        // A request to place weights matters while the run waits for it, and would hide all others afterwards.
+        let is_past = !self.follow && event.is_placement();
+        !self.important || event.importance() >= Importance::Notable && !is_past
     }
 }
 

@@ -12,6 +12,7 @@ use crate::cli::find::find_run;
 use crate::cli::output::{Output, duration, grouped, say, say_json};
 use crate::cli::table::{Table, or_dash};
 use crate::cli::times::second;
+use crate::state::{PausedWhy, StoredState};
 
 /// Number of intervals of the table.
 const INTERVALS: usize = 24;
@@ -70,14 +71,27 @@ fn intervals(history: &History, from: Timestamp, bin_s: f64) -> Table {
     table
 }
 
+/// The states; those of consecutive manual trials, which pause and run in turn, are one row.
 fn states(spans: &[StateSpan]) -> Table {
-    let mut table = Table::new("state | from | to", "no change of state is stored");
+    let mut rows: Vec<(String, Timestamp, Option<Timestamp>)> = Vec::new();
+    let mut is_placing = false;
     for span in spans {
-        table.push([
-            format!("{}{}", span.state.as_str(), why_words(span.why)),
-            second(span.from),
-            or_dash(span.to.map(second)),
-        ]);
+        let is_placement = span.why == Some(PausedWhy::ManualTrial);
+        let continues = is_placing && (is_placement || span.state == StoredState::Running);
+        if let Some(row) = rows.last_mut().filter(|_| continues) {
+            row.2 = span.to;
+            continue;
+        }
+        is_placing = is_placement;
+        let state = match is_placement {
+            true => "manual trials".to_owned(),
+            false => format!("{}{}", span.state.as_str(), why_words(span.why)),
+        };
+        rows.push((state, span.from, span.to));
+    }
+    let mut table = Table::new("state | from | to", "no change of state is stored");
+    for (state, from, to) in rows {
+        table.push([state, second(from), or_dash(to.map(second))]);
     }
     table
 }
@@ -85,7 +99,6 @@ fn states(spans: &[StateSpan]) -> Table {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::state::StoredState;
 
     #[test]
     fn an_interval_without_a_measured_value_has_a_dash() {
@@ -103,5 +116,34 @@ mod tests {
         assert_eq!(ends, [["4,321", "0", "9.5", "-"], ["0", "2", "-", "-"]]);
         let lasts = StateSpan { state: StoredState::Running, why: None, from, to: None };
         assert!(states(&[lasts]).to_string().ends_with('-'));
+    }
+
+    #[test]
+    fn manual_trials_are_one_row_until_another_pause() {
+        let at = |minutes: i64| Timestamp::from_second(1_790_000_000 + 60 * minutes).unwrap();
+        let span = |state, why, minutes| StateSpan {
+            state,
+            why,
+            from: at(minutes),
+            to: Some(at(minutes + 1)),
+        };
+        let (running, paused) = (StoredState::Running, StoredState::Paused);
+        let placed = Some(PausedWhy::ManualTrial);
+        let operator = Some(PausedWhy::Operator);
+        let spans = [
+            span(running, None, 0),
+            span(paused, placed, 1),
+            span(running, None, 2),
+            span(paused, placed, 3),
+            span(running, None, 4),
+            span(paused, operator, 5),
+            span(running, None, 6),
+        ];
+        let table = states(&spans).to_string();
+        let names: Vec<&str> =
+            table.lines().skip(1).filter_map(|line| line.split("  ").next()).collect();
+        assert_eq!(names, ["running", "manual trials", "paused (operator)", "running"]);
+        let manual = table.lines().nth(2).unwrap();
+        assert!(manual.ends_with(&second(at(5))), "{table}");
     }
 }

@@ -75,7 +75,7 @@ pub async fn runs(client: &Client, args: &RunsArgs) -> CliResult<()> {
     let filtered =
         !args.conditions.is_empty() || !args.state.is_empty() || args.experiment.is_some();
     let empty = match filtered {
-        true => "no run fits: palpate runs without options lists all",
+        true => "no run fits: palpate runs without conditions lists the newest",
         false => "there are no runs: palpate run quickstart",
     };
     let mut table = Table::new(

@@ -6,14 +6,15 @@ use ratatui::layout::Rect;
 use serde_json::json;
 
 use super::answers::{
-    TwinsOf, duration_words, elapsed, fit_of, settings_words, state_words, stored_words, worst_fit,
+    TwinsOf, duration_words, elapsed, fit_of, settings_words, state_words, stored_words,
+    tips_words, worst_fit,
 };
 use super::chart::{forces, picture, width};
 use super::{ShowArgs, history, raw, show_trial};
 use crate::api::{ForcesAtDepth, RunProgress, SensorOut, Summary};
 use crate::cli::client::Client;
-use crate::cli::error::CliResult;
-use crate::cli::find::find_run;
+use crate::cli::error::{CliError, CliResult};
+use crate::cli::find::{find_run, is_run};
 use crate::cli::next::Next;
 use crate::cli::output::{counted, filled, grouped, say, say_drawn, say_json};
 use crate::cli::table::Table;
@@ -37,7 +38,8 @@ const BAR: usize = 30;
 /// Runs `palpate show`.
 ///
 /// # Errors
-/// `CliError::NoSuch` or `Refused` if there is no such run or trial; others as [`Client::send`].
+/// `CliError::Problems` if the text is not the name of a run or trial; `NoSuch` or `Refused` if there is no such run or
+/// trial; others as [`Client::send`].
 pub async fn show(client: &Client, args: &ShowArgs) -> CliResult<()> {
     if let Some(part) = args.raw {
         return raw::show(client, &args.what, part).await;
@@ -50,6 +52,11 @@ pub async fn show(client: &Client, args: &ShowArgs) -> CliResult<()> {
 }
 
 async fn run(client: &Client, args: &ShowArgs) -> CliResult<()> {
+    if !is_run(&args.what) {
+        let limit = "must be a run (number, start of the id of 4 characters or more, or `last`), or a trial, such as \
+                     t812 or 3/81/4 (run, configuration, depth index)";
+        return Err(CliError::argument("RUN|TRIAL", &args.what, limit));
+    }
     let found = find_run(client, &args.what).await?;
     let path = format!("/api/v1/runs/{}", found.uid);
     let summary: Summary = client.summary(found.uid).await?;
@@ -130,7 +137,7 @@ fn facts(summary: &Summary, twins: TwinsOf, median_fvu: Option<f64>, night: &Nig
         line("settings", settings);
     }
     for of in night.progress.iter().flat_map(|progress| &progress.forces_by_tips) {
-        let tips = counted(of.tips.into(), "tip", "tips");
+        let tips = tips_words(run.kind, of.tips);
         let configurations = counted(of.configurations.into(), "configuration", "configurations");
         let (median_n, largest_n) = (of.median_n, of.largest_n);
         let words = format!("{tips}, largest in each of {configurations}:");

@@ -90,7 +90,7 @@ pub async fn stored(client: &Client, name: &TrialName, voltages: bool) -> CliRes
                 format!("{run}/{configuration}/{depth_index}")
             }
         };
-        CliError::NoSuch(format!("no trial {shown}: palpate trials lists all"))
+        CliError::NoSuch(format!("no trial {shown}: palpate trials lists the newest"))
     })
 }
 

@@ -80,7 +80,10 @@ pub async fn plot(client: &Client, args: &PlotArgs) -> CliResult<()> {
         let title = args.title.as_ref().unwrap_or(&question.title);
         let mut heading = Heading::new(title, count, "trials", &label);
         if !args.of.is_empty() {
-            heading = heading.with_note(args.of.join(", "));
+            let run = trials.run.map(|scan_id| format!("run {scan_id}"));
+            let conditions = args.of.iter().filter(|text| text.contains('=')).cloned();
+            let of: Vec<String> = run.into_iter().chain(conditions).collect();
+            heading = heading.with_note(of.join(", "));
         }
         note(format_args!("palpate query \"{}\"", question.sql.replace('"', "\\\"")));
         (question, answer, heading)
@@ -104,7 +107,7 @@ async fn trials(client: &Client, of: &[String]) -> CliResult<Trials> {
             let condition = condition.map_err(|limit| CliError::argument("WHERE", text, limit))?;
             trials.conditions.push(condition);
         } else if trials.run.is_none() {
-            trials.run = Some(find_run(client, text).await?.uid);
+            trials.run = Some(find_run(client, text).await?.scan_id);
         } else {
             let limit = "must be a condition such as tips=4, or the only run";
             return Err(CliError::argument("RUN", text, limit));
@@ -181,6 +184,9 @@ fn origin(labels: &Answer) -> String {
 /// The first column as places, the other columns of numbers as series.
 fn chart(question: &Question, marks: Marks, answer: &Answer) -> Result<Chart, String> {
     let (first, values) = answer.columns.split_first().ok_or("has no columns")?;
+    if answer.rows.is_empty() {
+        return Err("has no row to draw: no trial or row fits the conditions".into());
+    }
     // A row without a place is not drawn.
     let rows: Vec<_> = answer.rows.iter().filter(|row| row.contains_key(&first.name)).collect();
     let numbers: Vec<f64> = rows.iter().filter_map(|row| row.get(&first.name)?.as_f64()).collect();
@@ -238,6 +244,8 @@ mod tests {
         let one = answer(&[("label", "string")], json!([{ "label": "virtual" }]));
         let question = of_statement("SELECT", "", &one);
         assert!(chart(&question, Marks::Bars, &one).unwrap_err().contains("second column"));
+        let none = answer(&[("tips", "uint8"), ("n", "uint32")], json!([]));
+        assert!(chart(&question, Marks::Bars, &none).unwrap_err().contains("no row to draw"));
         let labels = answer(
             &[("label", "string"), ("trials", "uint32")],
             json!([{ "label": "measured", "trials": 2 }, { "label": "virtual", "trials": 5 }]),

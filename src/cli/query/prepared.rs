@@ -2,7 +2,6 @@
 //! PURE. Uses: conditions of the store, `query::groups`. Never: a request.
 
 use crate::figure::series::Marks;
-use crate::ids::RunUid;
 use crate::query::groups::{Grouping, conditions, filter};
 use crate::store::table::{Column, Kind};
 use crate::store::{Condition, MAX_PAGE, TrialQuery};
@@ -30,8 +29,8 @@ pub struct Question {
 /// Which trials a question is about.
 #[derive(Debug, Clone, Default)]
 pub struct Trials {
-    /// Only this run.
-    pub run: Option<RunUid>,
+    /// Number of the only run.
+    pub run: Option<i64>,
     /// Conditions on columns; a trial meets all of them.
     pub conditions: Vec<Condition>,
 }
@@ -39,8 +38,10 @@ pub struct Trials {
 impl Trials {
     /// The conditions of a statement.
     fn all(&self) -> Vec<String> {
+        let run = self.run.map(|scan_id| format!("scan_id = {scan_id}"));
         let filters = self.conditions.clone();
-        conditions(&TrialQuery { run: self.run, filters, ..TrialQuery::default() })
+        let others = conditions(&TrialQuery { filters, ..TrialQuery::default() });
+        run.into_iter().chain(others).collect()
     }
 
     /// The statement for groups of these trials, by the parameters of `/api/v1/trials/groups`.
@@ -146,6 +147,8 @@ mod tests {
             assert!(question.sql.contains("tips = 4"), "{}", question.sql);
         }
         assert_eq!(trials.named("colour"), Ok(None));
+        let of_run = Trials { run: Some(2), ..trials.clone() }.labels();
+        assert!(of_run.contains("WHERE scan_id = 2 AND tips = 4 GROUP BY label"), "{of_run}");
         assert!(trials.labels().contains("WHERE tips = 4 GROUP BY label"));
         let column = number("fvu").unwrap();
         let question = trials.histogram(column, [0.0, 1.7]).unwrap();

@@ -44,9 +44,14 @@ fn write(card: &mut String, row: &DatasetRow) -> std::fmt::Result {
     }
     writeln!(card, "\n## Origin\n")?;
     for run in runs() {
+        // Placed weights are contacts, whatever their force.
+        let contacts = match run["kind"] == "real-random" {
+            true => "placed contacts".to_owned(),
+            false => format!("contacts from {} N", run["deadband_n"]),
+        };
         writeln!(
             card,
-            "- run {} `{}` {} ({}), {} to {}: {} trials, contacts from {} N",
+            "- run {} `{}` {} ({}), {} to {}: {} trials, {contacts}",
             run["scan_id"],
             words(&run["uid"]),
             words(&run["experiment"]),
@@ -54,7 +59,6 @@ fn write(card: &mut String, row: &DatasetRow) -> std::fmt::Result {
             words(&run["started_at"]),
             words(&run["ended_at"]),
             run["trials"],
-            run["deadband_n"],
         )?;
     }
     for model in lineage["models"].as_array().into_iter().flatten() {
@@ -126,4 +130,32 @@ fn counts(card: &mut String, heading: &str, counts: &Value) -> std::fmt::Result 
         writeln!(card, "| {what} | {rows} |")?;
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use jiff::Timestamp;
+    use serde_json::json;
+
+    use super::*;
+    use crate::ids::DatasetId;
+
+    #[test]
+    fn placed_weights_are_contacts_whatever_their_force() {
+        let run = |kind: &str| json!({ "kind": kind, "trials": 3, "deadband_n": 5.0 });
+        let row = DatasetRow {
+            id: DatasetId::unchecked("ds-1"),
+            name: "real".into(),
+            definition: json!({}),
+            rows: 6,
+            bytes: 9,
+            sha256: "ab".into(),
+            report: json!({}),
+            lineage: json!({ "runs": [run("real-hex"), run("real-random")] }),
+            created_at: Timestamp::UNIX_EPOCH,
+        };
+        let card = text(&row);
+        assert!(card.contains(": 3 trials, contacts from 5.0 N\n"), "{card}");
+        assert!(card.contains(": 3 trials, placed contacts\n"), "{card}");
+    }
 }

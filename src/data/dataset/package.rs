@@ -41,8 +41,7 @@ pub fn of(row: &DatasetRow, url: &str) -> Value {
         "name": row.name,
         "id": row.id,
         "title": format!("{} ({})", row.name, row.id),
-        "description": format!("{} rows, made by Palpate. Parts: {}. Rows by number of contacts: {}.",
-            row.rows, report["parts"], report["contact_counts"]),
+        "description": description(row),
         "created": row.created_at,
         "version": row.id,
         "sources": sources,
@@ -82,6 +81,18 @@ fn field_type(kind: &str) -> &'static str {
     }
 }
 
+/// What a catalogue shows of a dataset: its rows, by part and by number of contacts.
+fn description(row: &DatasetRow) -> String {
+    let counts = |title: &str, key: &str| {
+        let all = row.report[key].as_object().into_iter().flatten();
+        let all: Vec<String> = all.map(|(name, rows)| format!("{name} ({rows})")).collect();
+        if all.is_empty() { String::new() } else { format!(" {title}: {}.", all.join(", ")) }
+    };
+    let (parts, contacts) =
+        (counts("Parts", "parts"), counts("Rows by number of contacts", "contact_counts"));
+    format!("{} rows, made by Palpate.{parts}{contacts}", row.rows)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -115,6 +126,8 @@ mod tests {
         assert_eq!(package["sources"][0]["title"], "run 4, hex (virtual)");
         assert_eq!(package["licenses"][0]["name"], "CC-BY-4.0");
         assert!(package["citation"].as_str().unwrap().starts_with("Dataset real (ds-1, 3 rows)"));
+        let about = "3 rows, made by Palpate. Rows by number of contacts: 2 (3).";
+        assert_eq!(package["description"], about);
         let file = &package["resources"][0];
         assert_eq!([&file["path"], &file["hash"]], ["ds-1.parquet", "sha256:ab"]);
         assert_eq!(file["url"], "/api/v1/data/ds-1.parquet");

@@ -119,8 +119,15 @@ impl Grouping {
                 ));
             }
             sql += "voltages WHERE sim_voltage_v IS NOT NULL";
-            if !conditions.is_empty() {
-                let trials = filter(conditions);
+            // The engine applies a condition on a column of `voltages` before a frame becomes rows, and a selection of
+            // trials afterwards: of 10,000 frames the rows do not fit into its memory.
+            let (of_voltages, of_trials): (Vec<String>, Vec<String>) =
+                conditions.iter().cloned().partition(|condition| is_of_voltages(condition));
+            for condition in of_voltages {
+                sql += &format!(" AND {condition}");
+            }
+            if !of_trials.is_empty() {
+                let trials = filter(&of_trials);
                 sql += &format!(" AND trial_id IN (SELECT trial_id FROM trials{trials})");
             }
         } else {
@@ -134,6 +141,11 @@ impl Grouping {
         }
         Ok(format!("{sql} LIMIT {limit}"))
     }
+}
+
+/// Whether a condition is on a column that the table of voltages has, too.
+fn is_of_voltages(condition: &str) -> bool {
+    ["scan_id ", "trial_id "].iter().any(|column| condition.starts_with(column))
 }
 
 /// Returns the conditions of a selection of trials as SQL of the engine.
@@ -295,6 +307,12 @@ mod tests {
         assert!(sql.starts_with("SELECT pair AS pair, AVG(POWER("), "{sql}");
         let of = "AS fvu, COUNT(*) AS count FROM voltages WHERE sim_voltage_v IS NOT NULL AND trial_id IN \
                   (SELECT trial_id FROM trials WHERE tips = 4) GROUP BY pair";
+        assert!(sql.contains(of), "{sql}");
+        let run = "scan_id = 2".to_owned();
+        let sql = by_pair.sql("trials", std::slice::from_ref(&run), 9).unwrap();
+        assert!(sql.contains("IS NOT NULL AND scan_id = 2 GROUP BY pair"), "{sql}");
+        let sql = by_pair.sql("trials", &[run, "tips = 4".to_owned()], 9).unwrap();
+        let of = "scan_id = 2 AND trial_id IN (SELECT trial_id FROM trials WHERE tips = 4) GROUP";
         assert!(sql.contains(of), "{sql}");
         let wrong = |pairs: &[(&str, &str)], table| grouping(pairs).unwrap().sql(table, &[], 9);
         for (pairs, table) in [

@@ -14,7 +14,7 @@ use super::problem::{ApiError, ApiResult, Params, Path};
 use super::runs::find;
 use super::spans::{StateSpan, restarts, spans};
 use crate::conductor::estimates::ESTIMATE;
-use crate::event::{Importance, importance, notable_kinds};
+use crate::event::{Importance, importance, is_placement, notable_kinds};
 use crate::ids::RunUid;
 use crate::journal::Event;
 use crate::state::StoredState;
@@ -23,7 +23,10 @@ use crate::store::{Bins, RunRow, Store, StoreResult, StoredParts};
 /// Most bins of a history.
 const BINS_MAX: u32 = 1000;
 /// Largest number of notable events, the newest ones.
-const NOTABLE_MAX: u32 = 500;
+const NOTABLE_MAX: usize = 500;
+/// Largest number of events of notable kinds that are read for them, the newest ones: a manual trial has two that are
+/// not listed.
+const NOTABLE_READ: u32 = 5000;
 /// Largest numbers of changes of state and of estimates, the newest ones.
 const STATES_MAX: u32 = 5000;
 const ESTIMATES_MAX: u32 = 5000;
@@ -67,8 +70,9 @@ pub struct History {
     /// Estimates of the end during the run, oldest first, at most 1000; empty for a run that an older version
     /// drove.
     pub predictions: Vec<Prediction>,
-    /// Notable events and those that matter more, oldest first: trips, suspensions, waits for a person, skips,
-    /// failed attempts, the end; at most 500, the newest ones. `states` lists the changes of state.
+    /// Notable events and those that matter more, oldest first: trips, suspensions, waits for a person (placements
+    /// of weights excepted), skips, failed attempts, the end; at most 500, the newest ones. `states` lists the
+    /// changes of state.
     pub events: Vec<NotableEvent>,
 }
 
@@ -121,9 +125,7 @@ pub async fn of_run(
 async fn read(app: &App, run: &RunRow, bins: u32) -> StoreResult<Arc<History>> {
     let store = &app.store;
     let kinds: Vec<&str> = notable_kinds().collect();
-    let mut notable = store.events_of_kinds(run.uid, &kinds, NOTABLE_MAX).await?;
-    notable.retain(|event| importance(&event.kind, &event.data) >= Importance::Notable);
-    let events = notable.into_iter().map(NotableEvent::from).collect();
+    let events = notable(store.events_of_kinds(run.uid, &kinds, NOTABLE_READ).await?);
     let Some(from) = run.started_at else {
         return Ok(Arc::new(History { events, ..History::default() }));
     };
@@ -156,6 +158,16 @@ async fn read(app: &App, run: &RunRow, bins: u32) -> StoreResult<Arc<History>> {
         events,
         ..arranged(&stored, bins as usize)
     }))
+}
+
+/// The newest of these events that are at least notable, without placements of weights.
+fn notable(events: Vec<Event>) -> Vec<NotableEvent> {
+    let listed = events.into_iter().filter(|event| !is_placement(&event.kind, &event.data));
+    let mut notable: Vec<NotableEvent> = listed.map(NotableEvent::from).collect();
+    notable.retain(|event| event.importance >= Importance::Notable);
+    let over = notable.len().saturating_sub(NOTABLE_MAX);
+    notable.drain(..over);
+    notable
 }
 
 impl From<Event> for NotableEvent {
@@ -236,6 +248,25 @@ mod tests {
         assert_eq!((told.at, told.end, told.low, told.high), (at(0), at(100), at(95), at(105)));
         let unreadable = Event { data: json!({}), ..estimate(0, 1.0) };
         assert_eq!(prediction(&unreadable), None);
+    }
+
+    #[test]
+    fn placements_do_not_hide_what_matters_and_the_newest_events_are_kept() {
+        let event = |seq: i64, kind: &str, data: &serde_json::Value| {
+            let (kind, data) = (kind.to_owned(), data.clone());
+            Event { seq, run: None, at: Timestamp::UNIX_EPOCH, kind, data }
+        };
+        let (none, right) = (json!({}), json!({ "trial": 1, "verdict": "right" }));
+        let wanted = json!({ "wanted": { "trial": 1, "contacts": [] } });
+        let listed = |events: Vec<Event>| -> Vec<i64> {
+            notable(events).iter().map(|event| event.seq).collect()
+        };
+        let mut events = vec![event(1, "trip", &none)];
+        events.extend((2..800).map(|seq| event(seq, "wanted", &wanted)));
+        events.extend((800..1600).map(|seq| event(seq, "placed", &right)));
+        assert_eq!(listed(events), [1]);
+        let trips = listed((1..=501).map(|seq| event(seq, "trip", &none)).collect());
+        assert_eq!((trips.len(), trips[0]), (500, 2));
     }
 
     #[test]

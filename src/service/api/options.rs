@@ -31,7 +31,8 @@ pub struct ServeOptions {
     pub rig_text: String,
     /// True: nothing is driven. The rig's lock is not taken, and its wires are not opened.
     pub desk: bool,
-    /// True: it answers, and makes nothing by itself: no twins, datasets, exports or jobs that wait.
+    /// True: it answers, and makes nothing by itself: no twins, datasets, exports or jobs that wait. No model or skin is
+    /// loaded: a request for answers to frames would wait for it.
     pub idle: bool,
     /// Certificate and key for TLS; `None`: requests and keys travel readable.
     pub tls: Option<Tls>,

@@ -184,10 +184,11 @@ impl Service {
             tokio::spawn(rates::keep(app.clone())),
             tokio::spawn(live_status::publish(app.clone())),
             tokio::spawn(after_start(app.clone(), options.resume)),
-            tokio::spawn(async move { serving.restore().await }),
         ];
         if !options.idle {
             tasks.extend([
+                // The preparation of a skin takes most of a minute, and is for answers to frames.
+                tokio::spawn(async move { serving.restore().await }),
                 tokio::spawn(app.twins.clone().work()),
                 tokio::spawn(app.datasets.clone().work()),
                 tokio::spawn(app.jobs.clone().work()),

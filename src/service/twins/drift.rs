@@ -16,6 +16,9 @@ use crate::schedule::experiment::TwinLimits;
 const WORST_PAIRS: usize = 5;
 /// Share of the window that must be filled before the fit is evaluated.
 const WINDOW_SHARE: f64 = 0.5;
+/// Share of its limit that a value must not exceed before a warning ends: a value that varies about its limit warns
+/// once.
+const END_SHARE: f64 = 0.8;
 
 /// A trial with its twin.
 #[derive(Debug, Clone)]
@@ -80,19 +83,33 @@ impl RollingFit {
             (Level::Suspend, Some(limit)) => ("the model does not fit the skin", limit),
             (Level::Warn | Level::Suspend, _) => ("the model fits the skin badly", limits.warn_fvu),
         };
-        let mut words = format!(
-            "{level}: median FVU {:.2} (limit {limit:.2}) over the last {} trials of at least {} N",
+        let median = format!(
+            "median FVU {:.2} (limit {limit:.2}) over the last {} trials of at least {} N",
             self.median_fvu, self.trials, limits.min_force_n
         );
-        if let Some(worst) = self.worst_pairs.first().filter(|_| self.pairs_over_limit > 0) {
-            let [from, to] = worst.electrodes;
-            words += &format!(
-                "; electrode pairs over {}: {}, worst {from} and {to} at {:.2}",
-                limits.pair_warn_fvu, self.pairs_over_limit, worst.fvu
-            );
+        let Some(worst) = self.worst_pairs.first().filter(|_| self.pairs_over_limit > 0) else {
+            return format!("{level}: {median}");
+        };
+        let [from, to] = worst.electrodes;
+        let pairs = format!(
+            "electrode pairs over FVU {}: {}, worst {from} and {to} at {:.2}",
+            limits.pair_warn_fvu, self.pairs_over_limit, worst.fvu
+        );
+        // What exceeds its limit is first.
+        match self.median_fvu > limit {
+            true => format!("{level}: {median}; {pairs}"),
+            false => format!("{level}: {pairs}; {median}"),
         }
-        words
     }
+}
+
+/// What has exceeded its limit since a warning began.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+struct Excess {
+    /// Whether the median has.
+    median: bool,
+    /// Largest number of pairs of electrodes that have at the same time.
+    pairs: usize,
 }
 
 /// The last trials of a run with their twins.
@@ -101,13 +118,14 @@ pub struct DriftWatch {
     limits: TwinLimits,
     electrodes: usize,
     window: VecDeque<Pairing>,
-    level: Level,
+    /// What was reported; nothing without a warning.
+    warned: Excess,
 }
 
 impl DriftWatch {
     /// Starts with an empty window, for a sensor with `electrodes` electrodes.
     pub fn new(limits: TwinLimits, electrodes: usize) -> Self {
-        Self { limits, electrodes, window: VecDeque::new(), level: Level::Ok }
+        Self { limits, electrodes, window: VecDeque::new(), warned: Excess::default() }
     }
 
     /// Limits of the experiment.
@@ -115,8 +133,9 @@ impl DriftWatch {
         &self.limits
     }
 
-    /// Adds a trial; returns the fit if its level has changed. After a suspension the window is
-    /// cleared, so that a resumed run is not suspended again by the same trials.
+    /// Adds a trial; returns the fit if it suspends the run, if a warning begins or ends, and if more exceeds its limit
+    /// than was reported: a standing warning must not hide another cause. After a suspension the window is cleared, so
+    /// that a resumed run is not suspended again by the same trials.
     pub fn push(&mut self, pairing: Pairing) -> Option<RollingFit> {
         if pairing.max_force_n < self.limits.min_force_n {
             return None;
@@ -130,15 +149,28 @@ impl DriftWatch {
             return None;
         }
         let fit = self.fit();
-        if fit.level == self.level {
-            return None;
+        let before = self.warned;
+        match fit.level {
+            Level::Suspend => {
+                self.window.clear();
+                self.warned = Excess::default();
+                return Some(fit);
+            }
+            Level::Warn => {
+                self.warned.median |= fit.median_fvu > self.limits.warn_fvu;
+                self.warned.pairs = before.pairs.max(fit.pairs_over_limit);
+            }
+            Level::Ok if self.is_near_limit(&fit) => {}
+            Level::Ok => self.warned = Excess::default(),
         }
-        self.level = fit.level;
-        if fit.level == Level::Suspend {
-            self.window.clear();
-            self.level = Level::Ok;
-        }
-        Some(fit)
+        (self.warned != before).then_some(fit)
+    }
+
+    /// Whether a value of the fit is so close to its limit that a warning continues.
+    fn is_near_limit(&self, fit: &RollingFit) -> bool {
+        let (median, pair) = (self.limits.warn_fvu, self.limits.pair_warn_fvu);
+        fit.median_fvu > END_SHARE * median
+            || fit.worst_pairs.first().is_some_and(|worst| worst.fvu > END_SHARE * pair)
     }
 
     /// The fit over the current window.
@@ -204,7 +236,34 @@ mod tests {
         let changes: Vec<(usize, Level)> =
             levels.iter().enumerate().filter_map(|(n, level)| Some((n, (*level)?))).collect();
         // The median of ten passes a limit when more than half of them have.
-        assert_eq!(changes, [(15, Level::Warn), (24, Level::Ok)]);
+        // A warning ends below 0.8 of its limit: at 24 the median is 0.25.
+        assert_eq!(changes, [(15, Level::Warn), (25, Level::Ok)]);
+    }
+
+    #[test]
+    fn a_fit_that_varies_about_its_limit_warns_once() {
+        let mut watch = DriftWatch::new(LIMITS, 2);
+        let levels: Vec<Level> = (0..40)
+            .filter_map(|n| {
+                let fvu = if n % 20 < 10 { 0.31 } else { 0.29 };
+                watch.push(pairing(n, fvu, 0.0)).map(|fit| fit.level)
+            })
+            .collect();
+        assert_eq!(levels, [Level::Warn]);
+    }
+
+    #[test]
+    fn a_warning_does_not_hide_pairs_that_exceed_their_limit_later() {
+        let mut watch = DriftWatch::new(LIMITS, 2);
+        let told: Vec<(u32, usize)> = (0..40)
+            .filter_map(|n| {
+                let off = if n < 10 { 0.0 } else { 3.0 };
+                let fit = watch.push(pairing(n, 0.4, off))?;
+                Some((n, fit.pairs_over_limit))
+            })
+            .collect();
+        // Three of ten trials are off by 3 in one of the two readings of a pair: 27 of 20.
+        assert_eq!(told, [(4, 0), (12, 1)]);
     }
 
     #[test]
@@ -231,7 +290,8 @@ mod tests {
         assert!(fit.describe(&LIMITS).contains("worst 1 and 0"), "{}", fit.describe(&LIMITS));
         let event = fit.event(&LIMITS);
         let words = event["words"].as_str().unwrap();
-        assert!(words.starts_with("the model fits the skin badly: median FVU 0.10"), "{words}");
+        let pairs = "the model fits the skin badly: electrode pairs over FVU 1: 1, worst 1 and 0";
+        assert!(words.starts_with(pairs) && words.contains("; median FVU 0.10"), "{words}");
         assert_eq!((&event["level"], &event["warn_fvu"]), (&json!("warn"), &json!(0.3)));
     }
 }

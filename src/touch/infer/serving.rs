@@ -198,14 +198,16 @@ impl Serving {
         who: &str,
         why: Option<&str>,
     ) -> InferResult<(String, Slot)> {
-        let _one_at_a_time = self.inner.changing.lock().await;
-        let (sensor, slot, what) = if let Ok(id) = id_or_name.parse() {
+        // A name that does not exist is refused at once, also while the promotions before a restart are restored.
+        let (sensor, slot, what) = if let Ok(id) = id_or_name.parse::<CalibrationId>() {
+            self.inner.skins.stored(&id)?;
             (self.rig().to_owned(), Slot::Skin, PromotedId::Calibration(id))
         } else {
             let model = self.inner.models.load(id_or_name).await?;
             let facts = &model.manifest;
             (facts.model.sensor.clone(), model.slot(), PromotedId::Model(facts.id.clone()))
         };
+        let _one_at_a_time = self.inner.changing.lock().await;
         // It serves once the promotion is stored, not before.
         let next = self.with(&sensor, slot, Some(&what)).await?;
         let (name, what) = (slot.name(), Some(&what));
@@ -306,7 +308,29 @@ fn earlier(served: &[(Option<PromotedId>, bool)]) -> Option<Option<PromotedId>> 
 
 #[cfg(test)]
 mod tests {
+    use std::time::Duration;
+
     use super::*;
+    use crate::clock::Clock;
+
+    const SENSOR: &str = include_str!("../../../experiments/sensors/ert-28.toml");
+
+    #[tokio::test]
+    async fn an_unknown_name_is_refused_while_earlier_promotions_load() {
+        let folder = tempfile::tempdir().unwrap();
+        let data = folder.path();
+        let store = Store::open(&data.join("palpate.db"), Clock::new(1.0)).await.unwrap();
+        let models = Registry::open(store.clone(), data, Clock::new(1.0)).unwrap();
+        let sensor = Sensor::from_toml(SENSOR).unwrap();
+        let serving = Serving::new(store.clone(), models, sensor, SENSOR.into(), data);
+        let _loading = serving.inner.changing.lock().await;
+        for (name, words) in [("net", "no model net: "), ("cal-00", "no calibration cal-00: ")] {
+            let promotion = serving.promote(name, "Ada", None);
+            let refused = tokio::time::timeout(Duration::from_secs(20), promotion).await.unwrap();
+            assert!(refused.unwrap_err().to_string().starts_with(words), "{name}");
+        }
+        store.close().await;
+    }
 
     #[test]
     fn going_back_twice_does_not_come_back_and_promoting_again_is_no_going_back() {

@@ -133,7 +133,9 @@ async fn events(client: &Client, run: &RunRow) -> CliResult<Vec<Told>> {
     let kinds = event::notable_kinds().collect::<Vec<_>>().join(",");
     let path = format!("/api/v1/events?run={}&kind={kinds}&limit={PAGE_RECORDS}", run.uid);
     let events: Vec<EventView> = client.all(&path).await?;
-    let notable = events.into_iter().filter(|event| event.importance() >= Importance::Notable);
+    let notable = events
+        .into_iter()
+        .filter(|event| event.importance() >= Importance::Notable && !event.is_placement());
     let told = notable.filter_map(|event| {
         Some(Told { at: event.at.parse().ok()?, words: event.sentence(), kind: event.kind })
     });

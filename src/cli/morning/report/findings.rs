@@ -12,6 +12,7 @@ use super::facts::Facts;
 use crate::cli::output::{counted, grouped};
 use crate::event::Importance;
 use crate::state::{PausedWhy, StoredState};
+use crate::store::RunKind;
 
 /// Share of attempts that may fail.
 const RETRIES: f64 = 0.01;
@@ -192,10 +193,17 @@ pub fn outliers(trials: &[TrialFacts]) -> Vec<&TrialFacts> {
 
 fn fit(facts: &Facts) -> Option<Finding> {
     if let Some(fvu) = facts.fit.median_fvu.filter(|fvu| *fvu > FVU) {
+        let run = facts.run();
+        // Placed weights are for the evaluation of a calibration, which needs presses of other forces.
+        let next = match run.kind {
+            RunKind::RealRandom => String::new(),
+            RunKind::RealHex | RunKind::Imported => format!(
+                " Calibrate the model to this skin: palpate calibrate skin --run {}.",
+                run.scan_id
+            ),
+        };
         return look(format!(
-            "The twins explain little of the frames: median FVU {fvu:.2} of trials with contacts. \
-             Calibrate the model to this skin: palpate calibrate skin --run {}.",
-            facts.run().scan_id
+            "The twins explain little of the frames: median FVU {fvu:.2} of trials with contacts.{next}"
         ));
     }
     let far = outliers(&facts.trials);

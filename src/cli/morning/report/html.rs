@@ -14,10 +14,10 @@ use super::plots::{self, Plot};
 use crate::cli::output::{counted, duration, grouped};
 use crate::cli::summary::table_one;
 use crate::cli::table::or_dash;
-use crate::cli::times::second;
+use crate::cli::times::{second, zoned};
 use crate::evaluate::figures::FigureResult;
 use crate::event::{Importance, shown_kind};
-use crate::state::StoredState;
+use crate::state::{PausedWhy, StoredState};
 
 const STYLE: &str = include_str!("report.css");
 /// Rows of a table of what happened or of trials: the report states how many more there are.
@@ -108,7 +108,7 @@ fn measured(page: &mut String, facts: &Facts, now: Timestamp) -> FigureResult<()
             ),
         ),
         ("failed attempts", grouped(summary.retries)),
-        ("started", or_dash(run.started_at.map(second))),
+        ("started", or_dash(run.started_at.map(zoned))),
         ("ended", or_dash(run.ended_at.map(second))),
         ("duration", or_dash(took.map(duration_words))),
         ("wall time per trial", or_dash(mean.map(duration))),
@@ -141,9 +141,12 @@ fn contacts(page: &mut String, facts: &Facts) {
 fn happened(page: &mut String, facts: &Facts) {
     page.push_str("<section><h2>What happened</h2>\n");
     let waits = facts.states.iter().filter(|span| {
-        span.to.is_some_and(|to| {
-            to.duration_since(span.from).as_secs_f64() >= 1.0 && span.state != StoredState::Running
-        })
+        // A run of manual trials pauses for each of them.
+        span.why != Some(PausedWhy::ManualTrial)
+            && span.to.is_some_and(|to| {
+                to.duration_since(span.from).as_secs_f64() >= 1.0
+                    && span.state != StoredState::Running
+            })
     });
     let waits = waits.map(|span| {
         let took = span.to.map(|to| duration_words(to.duration_since(span.from)));
@@ -164,7 +167,7 @@ fn happened(page: &mut String, facts: &Facts) {
         if count > TABLE_ROWS {
             let _ = writeln!(
                 page,
-                "<p>{} more: <code>palpate events {}</code></p>",
+                "<p>{} more: <code>palpate events {} --important --limit {count}</code></p>",
                 count - TABLE_ROWS,
                 facts.run().scan_id
             );
@@ -243,7 +246,7 @@ fn sources(page: &mut String, facts: &Facts, now: Timestamp) {
         ("rig, sha256", or_dash(run.rig_sha256.as_deref().map(short))),
         ("sensor, sha256", short(&run.sensor_sha256)),
         ("calibration", or_dash(run.calibration_id.as_ref().map(|id| id.as_str()))),
-        ("report made", second(now)),
+        ("report made", zoned(now)),
     ];
     table(page, &["", ""], rows.map(|(name, value)| vec![name.into(), value]), "facts");
     let _ = writeln!(

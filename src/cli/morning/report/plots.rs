@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 
 use sim_core::stats::median;
 
-use super::super::answers::TrialFacts;
+use super::super::answers::{TrialFacts, tips_words};
 use super::facts::Facts;
 use crate::api::forces_by_depth;
 use crate::cli::output::counted;
@@ -14,6 +14,7 @@ use crate::evaluate::charts::Line;
 use crate::evaluate::figures::{FigureResult, map};
 use crate::evaluate::run_figures::{Band, Contacts, bands, contacts, histogram, over_time};
 use crate::figure::{Heading, with_n};
+use crate::store::RunKind;
 
 /// FVU at the end of the histogram, and trials in a point of the FVU over time.
 const FVU_END: f64 = 2.0;
@@ -53,13 +54,14 @@ pub fn forces(facts: &Facts) -> FigureResult<Vec<Plot>> {
     if !by_tips.is_empty() {
         let n = by_tips.values().map(Vec::len).sum::<usize>();
         let heading = Heading::new("Force of a tip over depth", n as u64, "readings", label);
-        let named = by_tips.iter().map(|(tips, values)| (tips_words(*tips), values));
+        let kind = facts.run().kind;
+        let named = by_tips.iter().map(|(tips, values)| (tips_words(kind, *tips), values));
         let svg = bands(&heading, "force of a tip (N)", &curves(named))?;
         plots.push(plot(svg, "Median and quartiles of the force of each attached tip, by the number of tips. n: readings."));
     }
     if by_arm.len() > 1 {
         let n = by_arm.values().map(Vec::len).sum::<usize>();
-        let title = format!("Force of each arm, {}", tips_words(most));
+        let title = format!("Force of each arm, {}", tips_words(facts.run().kind, most));
         let heading = Heading::new(title, n as u64, "readings", label);
         let named = by_arm.iter().map(|(arm, values)| (format!("arm {arm}"), values));
         let svg = bands(&heading, "force (N)", &curves(named))?;
@@ -69,10 +71,6 @@ pub fn forces(facts: &Facts) -> FigureResult<Vec<Plot>> {
         ));
     }
     Ok(plots)
-}
-
-fn tips_words(tips: u8) -> String {
-    counted(tips.into(), "tip", "tips")
 }
 
 /// Depth, mm, arm, force, N, and number of tips of each attached tip.
@@ -104,13 +102,19 @@ pub fn counts(facts: &Facts) -> FigureResult<Option<Plot>> {
     let published = table_one(run.kind, stored);
     let heading = Heading::new("Trials by contacts", stored, "trials", run.label.as_str());
     let name = format!("run {} ({})", run.scan_id, run.label.as_str());
+    let rule = match run.kind {
+        // Placed weights are known: those below the deadband are contacts, too.
+        RunKind::RealRandom => "Each placed weight is a contact".to_owned(),
+        RunKind::RealHex | RunKind::Imported => {
+            format!("Contacts below {} N are not counted", run.deadband_n)
+        }
+    };
     let caption = match &published {
         Some((name, _)) => format!(
-            "{name} of the paper's Table I (measured), scaled to as many trials. Contacts below {} N are \
-             not counted; a run with other numbers of tips than the paper's has other shares.",
-            run.deadband_n
+            "{name} of the paper's Table I (measured), scaled to as many trials. {rule}; a run with \
+             other numbers of contacts than the paper's has other shares."
         ),
-        None => format!("Contacts below {} N are not counted.", run.deadband_n),
+        None => format!("{rule}."),
     };
     let published = published.map(|(name, all)| (format!("{name}, Table I, scaled"), all));
     let svg = contacts(&heading, &Contacts { here, name, published })?;
@@ -209,7 +213,7 @@ fn fit_over_time(facts: &Facts) -> FigureResult<Option<Plot>> {
             .chunks(size)
             .filter(|chunk| chunk.len() == size)
             .filter_map(|chunk| Some((chunk[size / 2].0, median(chunk.iter().map(|at| at.1))?)));
-        Line { name: tips_words(*tips), places: points.collect() }
+        Line { name: tips_words(facts.run().kind, *tips), places: points.collect() }
     });
     let lines: Vec<Line> = lines.filter(|line| line.places.len() > 1).collect();
     if lines.is_empty() {

@@ -128,6 +128,38 @@ fn trips_pauses_and_retries_have_numbers_and_times() {
 }
 
 #[test]
+fn what_happened_is_cut_with_a_command_for_the_rest_and_has_no_pause_of_each_placement() {
+    let mut facts = sound();
+    let pause = |why| StateSpan {
+        state: StoredState::Paused,
+        why: Some(why),
+        from: time(0),
+        to: Some(time(30)),
+    };
+    facts.states = vec![pause(PausedWhy::ManualTrial)];
+    let page = html::page(&facts, time(70)).unwrap();
+    assert!(page.contains("No stop, trip, pause"), "a run of manual trials pauses for each");
+    facts.states = vec![pause(PausedWhy::Operator)];
+    for _ in 0..59 {
+        facts.events.push(Told { at: time(9), kind: "trip".into(), words: "trip".into() });
+    }
+    let page = html::page(&facts, time(70)).unwrap();
+    let rest = "20 more: <code>palpate events 3 --important --limit 60</code>";
+    assert!(page.contains(rest), "{page}");
+}
+
+#[test]
+fn a_run_of_manual_trials_has_weights_and_all_of_them_are_contacts() {
+    let page = html::page(&sound(), time(70)).unwrap();
+    assert!(page.contains("40 with 2 tips") && page.contains("Contacts below 5 N"), "a press");
+    let mut facts = sound();
+    facts.summary = summary(|s| s["run"]["kind"] = "real-random".into());
+    let page = html::page(&facts, time(70)).unwrap();
+    assert!(page.contains("40 with 2 weights") && page.contains("Each placed weight is a contact"));
+    assert!(!page.contains("Contacts below 5 N"), "placed weights are known");
+}
+
+#[test]
 fn faulty_trials_and_outliers_of_the_fit_are_named() {
     let mut facts = sound();
     facts.trials[4].flags = vec!["unsettled".into(), "depth_missed".into()];
@@ -142,6 +174,8 @@ fn faulty_trials_and_outliers_of_the_fit_are_named() {
     assert!(words(&facts).is_empty(), "without contact a frame is noise");
     facts.fit.median_fvu = Some(0.7);
     assert!(one(&facts).contains("palpate calibrate skin --run 3"));
+    facts.summary = summary(|s| s["run"]["kind"] = "real-random".into());
+    assert!(one(&facts).ends_with("FVU 0.70 of trials with contacts."), "{}", one(&facts));
 }
 
 #[test]
@@ -171,6 +205,7 @@ fn a_soft_tip_and_a_reference_that_changes_are_found() {
 fn the_page_is_whole_escapes_foreign_text_and_loads_nothing() {
     let page = html::page(&sound(), time(70)).unwrap();
     assert!(page.contains("night &lt;1&gt;") && !page.contains("night <1>"));
+    assert!(page.contains(" (UTC+") || page.contains(" (UTC-"), "a report leaves the machine");
     for part in ["<h2>Findings", "No findings", "Table I, scaled", "@page", "Reference press"] {
         assert!(page.contains(part), "{part}");
     }
