@@ -31,7 +31,7 @@ fn trials() -> Vec<TrialRecord> {
     let mut file = sensor().file;
     file.piezo.a_ohm *= 0.6;
     let responses = unit_responses(&sensor(), &skin_cache()).unwrap();
-    let skin = ForwardModel::new(&Sensor::new(file).unwrap(), Arc::new(responses)).unwrap();
+    let skin = ForwardModel::new(Sensor::new(file).unwrap(), Arc::new(responses)).unwrap();
     let (points, mut chance) = (points(), ChaCha8Rng::seed_from_u64(1));
     let mut work = Workspace::default();
     let mut trial = |configuration: u32| {
