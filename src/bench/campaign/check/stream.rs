@@ -173,7 +173,7 @@ mod tests {
 
     fn frames(noise: i16, broken: i16) -> Vec<Arc<Frame>> {
         let frame = |n: u32| {
-            let wobble = if n % 2 == 0 { noise } else { -noise };
+            let wobble = if n.is_multiple_of(2) { noise } else { -noise };
             let mut counts = [100 + wobble, -60 - wobble, -40, 0].repeat(4);
             counts[5] += broken;
             stand_in::frame(n, counts)
