@@ -87,13 +87,14 @@ fn sweep(parent: &Path, now: SystemTime) {
     let Ok(entries) = fs::read_dir(parent) else { return };
     for entry in entries.flatten() {
         let (folder, name) = (entry.path(), entry.file_name());
-        let Some(random) = name.to_str().and_then(|name| name.strip_prefix(PREFIX)) else {
+        let random = name.to_str().and_then(|name| name.strip_prefix(PREFIX));
+        if !random.is_some_and(is_random) {
             continue;
-        };
+        }
         let lock = match File::open(folder.join(LOCK)) {
             Ok(lock) if lock.try_lock().is_ok() => Some(lock),
             Err(error) if error.kind() == ErrorKind::NotFound => {
-                if !(is_random(random) && is_left(&folder, now)) {
+                if !is_left(&folder, now) {
                     continue;
                 }
                 None
@@ -141,16 +142,16 @@ mod tests {
     fn the_folder_of_an_ended_worker_is_removed_and_that_of_a_running_one_kept() {
         let parent = tempfile::tempdir().unwrap();
         let running = Scratch::create(parent.path()).unwrap();
-        let ended = parent.path().join(format!("{PREFIX}ended"));
-        let other = parent.path().join("other");
-        for folder in [&ended, &other] {
+        let ended = parent.path().join(format!("{PREFIX}ended1"));
+        // A release that was unpacked may have such a file, too.
+        let others = ["other", "palpate-worker-0.1.0"].map(|name| parent.path().join(name));
+        for folder in others.iter().chain([&ended]) {
             fs::create_dir(folder).unwrap();
             fs::write(folder.join(LOCK), "").unwrap();
         }
         let next = Scratch::create(parent.path()).unwrap();
-        assert!(
-            running.path().exists() && next.path().exists() && other.exists() && !ended.exists()
-        );
+        assert!(running.path().exists() && next.path().exists() && !ended.exists());
+        assert!(others.iter().all(|other| other.exists()), "{others:?}");
         let path = next.path();
         drop(next);
         assert!(!path.exists());

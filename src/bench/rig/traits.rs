@@ -198,6 +198,19 @@ pub struct StreamCounters {
     pub since: Option<Timestamp>,
 }
 
+impl StreamCounters {
+    /// Wall time since which the stream of some frames was open: `requested` if it was that already when they were
+    /// requested. Otherwise `at`, at which they had arrived: they may be frames of both streams, and are in no mean with
+    /// others.
+    pub fn since_of_frames(
+        &self,
+        requested: Option<Timestamp>,
+        at: Timestamp,
+    ) -> Option<Timestamp> {
+        if self.since == requested { requested } else { Some(at) }
+    }
+}
+
 /// The voltage stream of the skin.
 ///
 /// # Errors

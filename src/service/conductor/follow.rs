@@ -354,7 +354,7 @@ mod tests {
                 tokio::time::sleep(Duration::from_millis(5)).await;
             }
         };
-        tokio::time::timeout(Duration::from_secs(20), dropped).await.expect("it is dropped");
+        tokio::time::timeout(Duration::from_secs(60), dropped).await.expect("it is dropped");
         assert_eq!(
             conductor.why_dropped(run.uid),
             Some(format!("{BEFORE_ABORTED}: start it again"))
@@ -370,7 +370,7 @@ mod tests {
                 tokio::time::sleep(Duration::from_millis(5)).await;
             }
         };
-        tokio::time::timeout(Duration::from_secs(20), dropped).await.expect("it is dropped again");
+        tokio::time::timeout(Duration::from_secs(60), dropped).await.expect("it is dropped again");
         following.abort();
         let _ = following.await;
     }
@@ -387,7 +387,7 @@ mod tests {
         let later = queued_on(&conductor, terms(false)).await;
         start(&conductor, &later).await;
         let taken = conductor.resume_after_restart(AutoResume::Allowed);
-        tokio::time::timeout(Duration::from_secs(20), taken).await.expect("at once").unwrap();
+        tokio::time::timeout(Duration::from_secs(60), taken).await.expect("at once").unwrap();
         let why = format!("{BEFORE_ABORTED}: start it again");
         assert_eq!(conductor.why_dropped(earlier.uid), Some(why));
         assert_eq!(conductor.why_dropped(later.uid), None, "a person has started it since");

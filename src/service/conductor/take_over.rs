@@ -324,7 +324,7 @@ mod tests {
                 tokio::time::sleep(Duration::from_millis(5)).await;
             }
         };
-        tokio::time::timeout(Duration::from_secs(20), dropped).await.expect("it is dropped");
+        tokio::time::timeout(Duration::from_secs(60), dropped).await.expect("it is dropped");
         assert_eq!(conductor.why_dropped(next.uid), Some(format!("{RUN_ABORTED}: start it again")));
         following.abort();
         let _ = following.await;
@@ -465,7 +465,7 @@ mod tests {
             drop(one_at_a_time);
         };
         let both = async { tokio::join!(taken, begins).0 };
-        tokio::time::timeout(Duration::from_secs(20), both).await.expect("at once").unwrap();
+        tokio::time::timeout(Duration::from_secs(60), both).await.expect("at once").unwrap();
         assert_eq!(conductor.present(&run).await.unwrap().state, StoredState::Running);
     }
 }

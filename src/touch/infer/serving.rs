@@ -326,7 +326,7 @@ mod tests {
         let _loading = serving.inner.changing.lock().await;
         for (name, words) in [("net", "no model net: "), ("cal-00", "no calibration cal-00: ")] {
             let promotion = serving.promote(name, "Ada", None);
-            let refused = tokio::time::timeout(Duration::from_secs(20), promotion).await.unwrap();
+            let refused = tokio::time::timeout(Duration::from_secs(60), promotion).await.unwrap();
             assert!(refused.unwrap_err().to_string().starts_with(words), "{name}");
         }
         store.close().await;

@@ -198,7 +198,7 @@ fn after_sigterm_the_present_chunk_is_completed_and_no_other_taken() {
     let mut worker = bench.worker(&bench.address, &[]);
     until("a chunk is made", SOON, || bench.status(&made)["running"] == json!(1));
     worker.terminate();
-    assert!(worker.ended(Duration::from_secs(10)), "{}", worker.log());
+    assert!(worker.ended(SOON), "{}", worker.log());
     let status = bench.status(&made);
     assert_eq!(
         (&status["done"], &status["running"], &status["waiting"]),
@@ -213,7 +213,7 @@ fn after_sigterm_the_present_chunk_is_completed_and_no_other_taken() {
     worker.hang_up();
     std::thread::sleep(Duration::from_millis(200));
     worker.hang_up();
-    assert!(worker.ended(Duration::from_secs(10)), "{}", worker.log());
+    assert!(worker.ended(SOON), "{}", worker.log());
     assert_eq!(bench.status(&made)["done"], json!(2));
     // A second signal does not wait for the chunk, which is returned when the lease ends: the worker fails.
     let mut worker = bench.worker(&bench.address, &[]);

@@ -58,14 +58,12 @@ pub async fn tare_untouched(
     stage.skin = SkinWatch::untouched(&frames);
     if let Some(watch) = &stage.skin {
         let at = stage.clock.timestamp();
-        // If the stream was opened again meanwhile, they may be frames of both: in no mean with others.
-        let is_one = skin.counters().since == stream_since;
         control.untouched(Untouched {
             voltages_v: watch.untouched_v(),
             at,
             frames: frames.len(),
             run: control.run_uid(),
-            stream_since: if is_one { stream_since } else { Some(at) },
+            stream_since: skin.counters().since_of_frames(stream_since, at),
         });
     }
     stage.begin_watch();

@@ -33,7 +33,8 @@ pub struct Seen {
     pub from: Timestamp,
     /// Wall time of the last frame.
     pub at: Timestamp,
-    /// Wall time since which the stream was open, and its device had not restarted, when they were requested.
+    /// Wall time since which the stream was open, and its device had not restarted, when they were requested; that of
+    /// the last frame if it was opened again meanwhile.
     pub stream_since: Option<Timestamp>,
 }
 
@@ -45,7 +46,9 @@ impl Seen {
     pub async fn next(skin: &Arc<dyn SkinReader>, clock: &Clock) -> Result<Self, RigError> {
         let (from, stream_since) = (clock.timestamp(), skin.counters().since);
         let frames = skin.take(clock.now(), WINDOW_FRAMES).await?;
-        Ok(Self { window: Window::of(&frames), from, at: clock.timestamp(), stream_since })
+        let at = clock.timestamp();
+        let stream_since = skin.counters().since_of_frames(stream_since, at);
+        Ok(Self { window: Window::of(&frames), from, at, stream_since })
     }
 
     fn rests_after(&self, earlier: &Self) -> bool {
@@ -142,6 +145,8 @@ impl UntouchedSkin {
 
 #[cfg(test)]
 mod tests {
+    use std::time::Duration;
+
     use super::*;
     use crate::campaign::bench::stand_in;
 
@@ -239,6 +244,19 @@ mod tests {
         });
         let before = Some((2, 3 * WINDOW_FRAMES, None));
         assert_eq!(stored, [before, None, Some((5, WINDOW_FRAMES, stream_since))]);
+    }
+
+    #[tokio::test]
+    async fn a_window_during_which_the_stream_is_opened_again_is_of_no_other_stream() {
+        let stand_in = Arc::new(stand_in::Skin::default());
+        *stand_in.takes.lock() = Duration::from_millis(50);
+        let skin: Arc<dyn SkinReader> = stand_in.clone();
+        let clock = Clock::new(1.0);
+        let again = async { *stand_in.since.lock() = Some(Timestamp::UNIX_EPOCH) };
+        // In this order: the frames are awaited before it is opened again.
+        let (seen, ()) = futures::join!(Seen::next(&skin, &clock), again);
+        let seen = seen.unwrap();
+        assert_eq!(seen.stream_since, Some(seen.at));
     }
 
     #[test]

@@ -96,7 +96,7 @@ async fn only_a_homing_that_a_person_has_requested_or_ended_shows_a_person_at_th
             handle.ask(request).await.unwrap();
             drop(status.wait_for(|now| now.rig.state == RigState::Homed).await.unwrap());
         };
-        answered(&mut engine, homes).await;
+        answered(&mut engine, soon(homes)).await;
         assert_eq!(engine.operated_at.elapsed() < OPERATED_WITHIN, is_shown);
     }
     let (axes, mut engine, handle) = with_handle();

@@ -18,7 +18,7 @@ use crate::rig::traits::AxisStatus;
 use crate::schedule::configuration::Stand;
 
 /// Longest wait of a test for a motion that must end, also on a loaded machine.
-const ENDS_WITHIN: Duration = Duration::from_secs(10);
+const ENDS_WITHIN: Duration = Duration::from_secs(60);
 
 /// Motions and homings of x, y and the rotary actuator that were started.
 fn lateral_starts(axes: &StandIns) -> [u64; 3] {
@@ -249,7 +249,7 @@ async fn a_jog_on_slow_wires_counts_each_reading_of_the_cells() {
 /// Waits until an axis was started; from then on the cells do not reply.
 async fn silence(axes: &StandIns, axis: &StandIn) {
     axis.started().await;
-    *axes.cells.takes.lock() = Duration::from_secs(20);
+    *axes.cells.takes.lock() = 2 * ENDS_WITHIN;
 }
 
 #[tokio::test]
@@ -274,7 +274,7 @@ async fn an_abort_of_a_lateral_motion_or_homing_waits_for_no_cell() {
             !matches!(stage.travel(control, &target).await, Err(Halt::Asked))
         };
         let (moved, took) = tokio::join!(moves, abort);
-        assert!(!moved && took < Duration::from_secs(1), "{took:?}");
+        assert!(!moved && took < ENDS_WITHIN, "{took:?}");
         assert_eq!(axes.x.stops.load(Ordering::SeqCst), u64::from(homes), "by its safe end");
         assert_eq!(latched(&engine), None);
     }
@@ -290,7 +290,7 @@ async fn no_axis_goes_on_while_the_wire_still_waits_for_a_sample_or_the_reply_to
         if is_started {
             axis.keep_moving();
         } else {
-            *axis.starts_take.lock() = Duration::from_secs(20);
+            *axis.starts_take.lock() = 2 * ENDS_WITHIN;
         }
         let (stage, control) = parts(&mut engine);
         stage.config.limits.sample_age_ms = Some(100);
@@ -309,7 +309,7 @@ async fn no_axis_goes_on_while_the_wire_still_waits_for_a_sample_or_the_reply_to
         };
         let (moved, ()) = tokio::join!(travel, falls_silent);
         tripped(moved, TripKind::Stale);
-        assert!(began.elapsed() < Duration::from_secs(2), "{:?}", began.elapsed());
+        assert!(began.elapsed() < ENDS_WITHIN, "{:?}", began.elapsed());
     }
 }
 
