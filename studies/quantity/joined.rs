@@ -21,17 +21,21 @@ const MEANS: &str = "The row of a net is the mean of the datasets below it ± th
 pub(super) fn joined(all: &[OnDataset], quantity: Quantity) -> Sheet {
     let name = quantity.name();
     let nets = all.iter().map(|one| one.entries.len()).max().unwrap_or(0);
+    // Nets are compared by their place in the list: a dataset that lacks one is in no mean.
+    let (scored, without): (Vec<&OnDataset>, Vec<&OnDataset>) =
+        all.iter().partition(|one| !one.entries.is_empty() && one.entries.len() == nets);
     let mean = |at: usize| {
-        let of: Vec<&Entry> = all.iter().filter_map(|one| one.entries.get(at)).collect();
+        let of: Vec<&Entry> = scored.iter().map(|one| &one.entries[at]).collect();
         Entry::mean(&of)
     };
     let means: Vec<Entry> = (0..nets).filter_map(mean).collect();
-    let verdicts = verdicts(&means, |net, baseline| less_on(all, net, baseline));
+    let verdicts = verdicts(&means, |net, baseline| less_on(&scored, net, baseline));
     let mut notes_of_each = String::new();
+    for one in without {
+        notes_of_each +=
+            &format!("{} lacks the scores of a net, and is in no mean.\n", one.dataset);
+    }
     for one in all {
-        if one.entries.is_empty() {
-            notes_of_each += &format!("{} has no scores, and is not in the means.\n", one.dataset);
-        }
         for note in notes(&one.reports) {
             notes_of_each += &format!("Note on {}: {note}.\n", one.dataset);
         }
@@ -43,7 +47,7 @@ pub(super) fn joined(all: &[OnDataset], quantity: Quantity) -> Sheet {
         all.len(),
         each_once(all.iter().map(|one| one.label)),
         each_once(all.iter().map(|one| one.split_by.as_str())),
-        markdown(&head(quantity), &joined_rows(&means, all)),
+        markdown(&head(quantity), &joined_rows(&means, &scored)),
         MEANS,
         remarks(&means),
     );
@@ -55,15 +59,11 @@ pub(super) fn joined(all: &[OnDataset], quantity: Quantity) -> Sheet {
 }
 
 /// On how many datasets a net has a smaller error than a regression.
-fn less_on(all: &[OnDataset], net: usize, baseline: usize) -> String {
-    let (mut less, mut scored) = (0, 0);
-    for one in all {
-        if let Some((net, baseline)) = one.entries.get(net).zip(one.entries.get(baseline)) {
-            scored += 1;
-            less += u32::from(net.scores.cost() < baseline.scores.cost());
-        }
-    }
-    format!(" (less error on {less} of {scored} datasets)")
+fn less_on(scored: &[&OnDataset], net: usize, baseline: usize) -> String {
+    let is_less =
+        |one: &&&OnDataset| one.entries[net].scores.cost() < one.entries[baseline].scores.cost();
+    let less = scored.iter().filter(is_less).count();
+    format!(" (less error on {less} of {} datasets)", scored.len())
 }
 
 /// Different words, with "and" in between.
@@ -71,10 +71,9 @@ fn each_once<'a>(words: impl Iterator<Item = &'a str>) -> String {
     words.collect::<BTreeSet<&str>>().into_iter().collect::<Vec<&str>>().join(" and ")
 }
 
-/// The rows of several datasets: of each net its mean, then each dataset.
-fn joined_rows(means: &[Entry], all: &[OnDataset]) -> Vec<Vec<String>> {
+/// The rows of datasets with scores of every net: of each net its mean, then each dataset.
+fn joined_rows(means: &[Entry], scored: &[&OnDataset]) -> Vec<Vec<String>> {
     let Some(first) = means.first() else { return Vec::new() };
-    let scored = || all.iter().filter_map(|one| Some((one, &one.entries.first()?.scores)));
     let below = |one: &OnDataset, mut row: Vec<String>| {
         row[0] = format!("  {}", one.dataset);
         row
@@ -82,12 +81,13 @@ fn joined_rows(means: &[Entry], all: &[OnDataset]) -> Vec<Vec<String>> {
     let mut rows = Vec::new();
     for (at, mean) in means.iter().enumerate() {
         rows.push(mean.row(first.scores.cost()));
-        for (one, ridge) in scored() {
-            rows.extend(one.entries.get(at).map(|entry| below(one, entry.row(ridge.cost()))));
+        for one in scored {
+            let ridge = &one.entries[0].scores;
+            rows.push(below(one, one.entries[at].row(ridge.cost())));
         }
     }
     rows.push(constant_row(&first.scores));
-    rows.extend(scored().map(|(one, ridge)| below(one, constant_row(ridge))));
+    rows.extend(scored.iter().map(|one| below(one, constant_row(&one.entries[0].scores))));
     rows
 }
 

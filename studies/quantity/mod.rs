@@ -367,7 +367,7 @@ mod tests {
             "mlp beats ridge: 25 % less error (less error on 2 of 2 datasets).",
             "mlp does NOT beat kernel ridge (less error on 1 of 2 datasets).",
             "2 rows without this quantity",
-            "c has no scores, and is not in the means.",
+            "c lacks the scores of a net, and is in no mean.",
         ] {
             assert!(text.contains(wanted), "{wanted}: {text}");
         }
