@@ -18,8 +18,8 @@ import json
 import pathlib
 import time
 
-from bench import once
-from skins import answer, experiments
+from bench import answer, once
+from skins import experiments
 
 # All rows: more than any dataset has.
 ROWS = 1_000_000
