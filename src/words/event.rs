@@ -90,7 +90,7 @@ pub fn importance(kind: &str, data: &Value) -> Importance {
 }
 
 /// Whether an event requests the placement of weights for a manual trial. A person must see it while the run waits for
-/// it; there is one for each trial, and a list of what happened excludes them. A failed attempt has an event of its own.
+/// it; there is one for each trial, and a list of what happened excludes them. A failed attempt is another event.
 pub fn is_placement(kind: &str, data: &Value) -> bool {
     kind == "wanted" && data["wanted"]["contacts"].is_array()
 }
