@@ -221,35 +221,26 @@ fn the_voltages_of_single_contacts_are_judged_and_a_calibration_carries_it() {
 
 #[test]
 fn wrong_indentations_are_named_with_line_field_and_limit() {
-    let error = |text: &str| {
-        foam::calibrate("t.csv", text, &sensor(), &mut |_| {}).unwrap_err().to_string()
+    let is_refused = |text: &str, words: &str| {
+        let refused = foam::calibrate("t.csv", text, &sensor(), &mut |_| {}).unwrap_err();
+        let words: Vec<String> = words.lines().map(|line| format!("t.csv: {line}")).collect();
+        assert_eq!(refused.to_string(), words.join("\n"));
     };
-    assert_eq!(
-        error("point,force_n,displacement_mm\n804,5,1\n1.5,5,1\n3,-5,1\n"),
-        "t.csv: line 4, force_n = -5: must be a number above 0, at most 1000"
-    );
-    assert_eq!(
-        error("point,force_n,displacement_mm\n804,5,1\n1.5,5,1\n"),
-        "t.csv: line 2, point = 804: must be a whole number from 0 to 803\n\
-         t.csv: line 3, point = 1.5: must be a whole number from 0 to 803"
-    );
-    assert_eq!(
-        error("x_mm,y_mm,force_n,displacement_mm\n270,281,5,1\n"),
-        "t.csv: line 2, x_mm, y_mm = 270, 281: must be within 0.5 mm of a point of the sensor"
-    );
-    assert_eq!(
-        error("point,force_n,displacement_mm,gauge_x_mm,gauge_y_mm\n3,5,1,20,\n3,5,1,20,900\n"),
-        "t.csv: line 2, gauge_x_mm, gauge_y_mm = 20, empty: needs both, or neither\n\
-         t.csv: line 3, gauge_x_mm, gauge_y_mm = 20, 900: must be on the skin"
-    );
-    assert_eq!(
-        error("point,x_mm,force_n,displacement_mm\n3,4,5,1\n"),
-        "t.csv: the header needs either point, or x_mm and y_mm"
-    );
-    assert_eq!(
-        error("point,force_n,displacement_mm\n3,5,1\n"),
-        "t.csv: 1 rows are too few for 1 unknowns; at least one more is needed"
-    );
+    let words = "line 4, force_n = -5: must be a number above 0, at most 1000";
+    is_refused("point,force_n,displacement_mm\n804,5,1\n1.5,5,1\n3,-5,1\n", words);
+    let words = "line 2, point = 804: must be a whole number from 0 to 803\n\
+                 line 3, point = 1.5: must be a whole number from 0 to 803";
+    is_refused("point,force_n,displacement_mm\n804,5,1\n1.5,5,1\n", words);
+    let words = "line 2, x_mm, y_mm = 270, 281: must be within 0.5 mm of a point of the sensor";
+    is_refused("x_mm,y_mm,force_n,displacement_mm\n270,281,5,1\n", words);
+    let text = "point,force_n,displacement_mm,gauge_x_mm,gauge_y_mm\n3,5,1,20,\n3,5,1,20,900\n";
+    let words = "line 2, gauge_x_mm, gauge_y_mm = 20, empty: needs both, or neither\n\
+                 line 3, gauge_x_mm, gauge_y_mm = 20, 900: must be on the skin";
+    is_refused(text, words);
+    let words = "the header needs either point, or x_mm and y_mm";
+    is_refused("point,x_mm,force_n,displacement_mm\n3,4,5,1\n", words);
+    let words = "1 rows are too few for 1 unknowns; at least one more is needed";
+    is_refused("point,force_n,displacement_mm\n3,5,1\n", words);
 }
 
 // ---------------------------------------------------------------- the command

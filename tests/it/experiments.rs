@@ -12,7 +12,7 @@ use palpate::schedule::experiment::Experiment;
 use palpate::schedule::lint::lint;
 use palpate::schedule::plan::Plan;
 use palpate::schedule::preflight::Preflight;
-use palpate::schedule::reach::Reach;
+use palpate::schedule::reach::{Reach, StageReach};
 
 use crate::support::{sensor, with_extension};
 
@@ -134,51 +134,43 @@ fn unreachable(keys: &str, change: impl FnOnce(&mut Reach)) -> String {
     found[0].to_string()
 }
 
+/// The same with a changed stage, and the words of the problem between the names of both files.
+fn is_unreachable(keys: &str, change: impl FnOnce(&mut StageReach), words: &str) {
+    let found = unreachable(keys, |reach| change(reach.stage.as_mut().unwrap()));
+    assert_eq!(found, format!("real-hex.toml: {words} of rigs/virtual.toml"));
+}
+
 #[test]
 fn an_unreachable_radius_is_one_error() {
-    assert_eq!(
-        unreachable("", |r| r.stage.as_mut().unwrap().radius_mm = [31.0, 200.0]),
-        "real-hex.toml: real_hex.radius_pitches = 12: radius 207.85 mm is outside slot.radius_mm \
-         [31, 200] of rigs/virtual.toml"
-    );
-    assert_eq!(
-        unreachable("", |r| r.stage.as_mut().unwrap().backlash_mm = 4.0),
-        "real-hex.toml: real_hex.radius_pitches = 2: radius 34.64 mm cannot be approached from \
-         slot.backlash_mm = 4 below within slot.radius_mm [31, 210] of rigs/virtual.toml"
-    );
+    let words =
+        "real_hex.radius_pitches = 12: radius 207.85 mm is outside slot.radius_mm [31, 200]";
+    is_unreachable("", |s| s.radius_mm = [31.0, 200.0], words);
+    let words = "real_hex.radius_pitches = 2: radius 34.64 mm cannot be approached from \
+                 slot.backlash_mm = 4 below within slot.radius_mm [31, 210]";
+    is_unreachable("", |s| s.backlash_mm = 4.0, words);
 }
 
 #[test]
 fn an_unreachable_centre_is_one_error() {
-    assert_eq!(
-        unreachable("", |r| r.stage.as_mut().unwrap().x_travel_mm = [0.0, 440.0]),
-        "rigs/virtual.toml: axes.x.travel_mm = [0, 440]: must hold machine x 59.16 to 466.20 mm, \
-         the positions of real-hex.toml: 509 of its 24563 configurations are out of reach"
-    );
-    assert!(
-        unreachable("", |r| r.stage.as_mut().unwrap().skin_origin_mm[1] = -80.0)
-            .contains("axes.y.travel_mm = [0, 580]")
-    );
+    let stage = |change: fn(&mut StageReach)| {
+        unreachable("", |reach| change(reach.stage.as_mut().unwrap()))
+    };
+    let words = "rigs/virtual.toml: axes.x.travel_mm = [0, 440]: must hold machine x 59.16 to 466.20 mm, \
+                 the positions of real-hex.toml: 509 of its 24563 configurations are out of reach";
+    assert_eq!(stage(|s| s.x_travel_mm = [0.0, 440.0]), words);
+    assert!(stage(|s| s.skin_origin_mm[1] = -80.0).contains("axes.y.travel_mm = [0, 580]"));
 }
 
 #[test]
 fn an_unreachable_depth_is_one_error() {
-    assert_eq!(
-        unreachable("", |r| r.stage.as_mut().unwrap().z_travel_mm = [0.0, 73.5]),
-        "real-hex.toml: real_hex.depths = 11: pressing 5 mm where the skin is lowest needs machine \
-         z 73.65 mm, beyond axes.z.travel_mm [0, 73.5] of rigs/virtual.toml"
-    );
-    assert_eq!(
-        unreachable("reference_depth_mm = 6.0\n", |r| r.stage.as_mut().unwrap().z_travel_mm =
-            [0.0, 74.5]),
-        "real-hex.toml: real_hex.reference_depth_mm = 6: pressing 6 mm where the skin is lowest \
-         needs machine z 74.65 mm, beyond axes.z.travel_mm [0, 74.5] of rigs/virtual.toml"
-    );
-    assert_eq!(
-        unreachable("", |r| r.stage.as_mut().unwrap().clearance_mm = 0.8),
-        "real-hex.toml: real_hex.standoff_mm = 1.35: must not be above skin.clearance_mm = 0.8 of \
-         rigs/virtual.toml"
-    );
+    let words = "real_hex.depths = 11: pressing 5 mm where the skin is lowest needs machine z 73.65 mm, \
+                 beyond axes.z.travel_mm [0, 73.5]";
+    is_unreachable("", |s| s.z_travel_mm = [0.0, 73.5], words);
+    let words = "real_hex.reference_depth_mm = 6: pressing 6 mm where the skin is lowest needs machine \
+                 z 74.65 mm, beyond axes.z.travel_mm [0, 74.5]";
+    is_unreachable("reference_depth_mm = 6.0\n", |s| s.z_travel_mm = [0.0, 74.5], words);
+    let words = "real_hex.standoff_mm = 1.35: must not be above skin.clearance_mm = 0.8";
+    is_unreachable("", |s| s.clearance_mm = 0.8, words);
 }
 
 #[test]
@@ -196,41 +188,28 @@ fn every_dataset_file_is_a_definition_of_its_name() {
 
 #[test]
 fn a_force_above_the_rigs_limit_is_one_error() {
-    assert_eq!(
-        unreachable("[limits]\nforce_n = 90.0\n", |_| ()),
-        "real-hex.toml: limits.force_n = 90: must not be above limits.force_n = 88 of \
-         rigs/virtual.toml"
-    );
+    let words = "limits.force_n = 90: must not be above limits.force_n = 88";
+    is_unreachable("[limits]\nforce_n = 90.0\n", |_| (), words);
 }
 
 #[test]
 fn a_bench_that_cannot_measure_the_skin_is_one_error() {
-    assert_eq!(
-        unreachable("", |r| r.electrodes = 16),
-        "real-hex.toml: sensor = sensors/ert-28.toml: has 28 electrodes, but ert.electrodes = 16 \
-         in rigs/virtual.toml"
-    );
-    assert_eq!(
-        unreachable("", |r| r.stage.as_mut().unwrap().cell_update_ms = 4000.0),
-        "real-hex.toml: measure.settle_max_ms = 5000: must hold two samples of cells.update_ms = \
-         4000 of rigs/virtual.toml"
-    );
+    let words = "real-hex.toml: sensor = sensors/ert-28.toml: has 28 electrodes, but ert.electrodes = 16 \
+                 in rigs/virtual.toml";
+    assert_eq!(unreachable("", |r| r.electrodes = 16), words);
+    let words = "measure.settle_max_ms = 5000: must hold two samples of cells.update_ms = 4000";
+    is_unreachable("", |s| s.cell_update_ms = 4000.0, words);
 }
 
 #[test]
 fn a_weight_above_the_experiments_limit_is_one_error() {
     let text = format!("{}[limits]\nforce_n = 9.0\n", read("real-random.toml"));
     let experiment = Experiment::from_toml("real-random.toml", &text).unwrap();
-    let found = lint(
-        "real-random.toml",
-        &experiment,
-        &sensor(),
-        &reach("rigs/virtual.toml", &virtual_rig()),
-    );
-    assert_eq!(
-        found.iter().map(ToString::to_string).collect::<Vec<_>>(),
-        ["real-random.toml: real_random.weights_n = 9.81: must not be above limits.force_n = 9"]
-    );
+    let reach = reach("rigs/virtual.toml", &virtual_rig());
+    let found = lint("real-random.toml", &experiment, &sensor(), &reach);
+    let words =
+        "real-random.toml: real_random.weights_n = 9.81: must not be above limits.force_n = 9";
+    assert_eq!(found.iter().map(ToString::to_string).collect::<Vec<_>>(), [words]);
 }
 
 #[test]

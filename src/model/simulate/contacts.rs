@@ -246,24 +246,15 @@ mod tests {
     #[test]
     fn values_outside_their_limits_are_named() {
         let replaced = |from: &str, to: &str| complaint(&with(&[GOOD, &GOOD.replace(from, to)]));
-        assert_eq!(
-            replaced("270", "9.5"),
-            "c.jsonl line 3: contacts[1].x_mm = 9.5: must be from 10 to 530 mm: a tip must be \
-             wholly on the skin"
-        );
-        assert_eq!(
-            replaced("280", "551"),
-            "c.jsonl line 3: contacts[1].y_mm = 551: must be from 10 to 550 mm: a tip must be \
-             wholly on the skin"
-        );
-        assert_eq!(
-            replaced(":20", ":-20"),
-            "c.jsonl line 3: contacts[1].force_n = -20: must be from 0 to 1000 N"
-        );
-        assert_eq!(
-            complaint(&with(&[GOOD; 7])),
-            "c.jsonl line 3: contacts = 7 contacts: must be at most 6 contacts"
-        );
+        let skin = "a tip must be wholly on the skin";
+        for (found, words) in [
+            (replaced("270", "9.5"), format!("[1].x_mm = 9.5: must be from 10 to 530 mm: {skin}")),
+            (replaced("280", "551"), format!("[1].y_mm = 551: must be from 10 to 550 mm: {skin}")),
+            (replaced(":20", ":-20"), "[1].force_n = -20: must be from 0 to 1000 N".into()),
+            (complaint(&with(&[GOOD; 7])), " = 7 contacts: must be at most 6 contacts".into()),
+        ] {
+            assert_eq!(found, format!("c.jsonl line 3: contacts{words}"));
+        }
     }
 
     #[test]

@@ -145,16 +145,13 @@ fn a_wrong_rig_file_is_told_with_file_key_value_and_limit() {
     assert!(unknown.starts_with("iai-modbus-tcp.toml"), "{unknown}");
     assert!(unknown.contains("clock_speed = ") && unknown.contains("unknown key"), "{unknown}");
     assert!(unknown.contains("`clock_rate`"), "names what is allowed: {unknown}");
-    assert_eq!(
-        problems("clock_rate = 1.0", "clock_rate = 0.0"),
-        "iai-modbus-tcp.toml: clock_rate = 0: must be 1 on a bench (label = \"measured\")"
-    );
-    assert_eq!(
-        problems("speed_mm_s = 60.0", "speed_mm_s = 9000.0"),
-        "iai-modbus-tcp.toml: axes.z.speed_mm_s = 9000: must be from 0.001 to 5000"
-    );
-    assert_eq!(
-        problems("timeout_ms = 300", "timeout_ms = 0"),
-        "iai-modbus-tcp.toml: lines.cells.timeout_ms = 0: must be from 5 to 10000"
-    );
+    for (from, to, words) in [
+        ("clock_rate = 1.0", "0.0", "clock_rate = 0: must be 1 on a bench (label = \"measured\")"),
+        ("speed_mm_s = 60.0", "9000.0", "axes.z.speed_mm_s = 9000: must be from 0.001 to 5000"),
+        ("timeout_ms = 300", "0", "lines.cells.timeout_ms = 0: must be from 5 to 10000"),
+    ] {
+        let key = from.split_once(" = ").unwrap().0;
+        let found = problems(from, &format!("{key} = {to}"));
+        assert_eq!(found, format!("iai-modbus-tcp.toml: {words}"));
+    }
 }
