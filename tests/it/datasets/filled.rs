@@ -322,6 +322,11 @@ impl Filled {
         self.posted("/api/v1/datasets", json!({ "name": name }), 200).await
     }
 
+    /// Makes a dataset of a definition.
+    pub async fn defined(&self, definition: Value) -> Value {
+        self.posted("/api/v1/datasets", json!({ "definition": definition }), 200).await
+    }
+
     /// A GET that must succeed.
     pub async fn get(&self, path: &str) -> Value {
         let answer = self.answer(path).await;

@@ -11,12 +11,24 @@ use crate::support::{self, Folder, PALPATE};
 
 const FILES: [&str; 5] = ["trials.parquet", "trials.csv", "trials.npz", "trials.mat", "packed.mat"];
 
+/// Runs `palpate dataset` in `files`.
+async fn dataset(lab: &Filled, files: &Path, arguments: &[&str]) -> Output {
+    let mut command = Command::new(PALPATE);
+    command.current_dir(files).arg("dataset").args(arguments).args(["--url", &lab.url("")]);
+    support::finished(command).await
+}
+
 /// Runs `palpate dataset import` on a file of `files`.
 async fn import(lab: &Filled, files: &Path, file: &str, more: &[&str]) -> Output {
-    let mut command = Command::new(PALPATE);
-    command.current_dir(files).args(["dataset", "import", file, "--sensor", "pad.toml"]);
-    command.args(more).args(["--url", &lab.url("")]);
-    support::finished(command).await
+    dataset(lab, files, &[&["import", file, "--sensor", "pad.toml"][..], more].concat()).await
+}
+
+/// A service, and a folder with the sensor file of a pad 100 mm wide.
+async fn with_pad(name: &str, channels: u32, height_mm: u32) -> (Filled, Folder) {
+    let (lab, files) = (Filled::open(name).await, Folder::new(name));
+    let size = format!("channels = {channels}\nwidth_mm = 100\nheight_mm = {height_mm}\n");
+    std::fs::write(files.join("pad.toml"), format!("name = \"pad\"\n{size}")).unwrap();
+    (lab, files)
 }
 
 /// Writes the files of a script of `python/`; `None` without its modules.
@@ -48,11 +60,8 @@ async fn every_format_gives_the_same_trials() {
         let errors = String::from_utf8_lossy(&output.stderr).into_owned();
         assert!(output.status.success(), "{file}: {errors}");
         let made: Value = serde_json::from_slice(&output.stdout).unwrap();
-        assert_eq!(
-            (&made["trials"], &made["columns_left_out"]),
-            (&5.into(), &json!(["weather"])),
-            "{file}"
-        );
+        assert_eq!(made["trials"], 5, "{file}");
+        assert_eq!(made["columns_left_out"], json!(["weather"]), "{file}");
         let found = trials(&lab, made["run"]["scan_id"].as_i64().unwrap()).await;
         match &wanted {
             Some(wanted) => assert_eq!(&found, wanted, "{file}"),
@@ -61,14 +70,11 @@ async fn every_format_gives_the_same_trials() {
                 assert_eq!(found[1]["missing_channels"], 1);
                 assert!(found[2]["contacts"].as_array().unwrap().is_empty());
                 assert!(found[3]["contacts"][1].get("force_n").is_none());
-                assert_eq!(
-                    (&found[2]["imported_split"], found[4].get("imported_split")),
-                    (&"test".into(), None)
-                );
-                assert_eq!(
-                    (&found[2]["imported_tag"], found[3].get("imported_tag")),
-                    (&"tip B".into(), None)
-                );
+                for (key, stated, without) in [("split", "test", 4), ("tag", "tip B", 3)] {
+                    let key = format!("imported_{key}");
+                    assert_eq!(found[2][&key], stated);
+                    assert_eq!(found[without].get(&key), None);
+                }
                 assert_eq!(found[2]["frame_count"], 8);
                 wanted = Some(found);
             }
@@ -111,10 +117,7 @@ fn table(trials: u32, split: &str) -> String {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_split_of_the_file_and_a_split_by_run_are_obeyed() {
-    let lab = Filled::open("imported-splits").await;
-    let files = Folder::new("imported-splits");
-    let pad = "name = \"pad\"\nchannels = 6\nwidth_mm = 100\nheight_mm = 100\n";
-    std::fs::write(files.join("pad.toml"), pad).unwrap();
+    let (lab, files) = with_pad("imported-splits", 6, 100).await;
     let some = "v0,v1,v2,v3,v4,v5,x_mm,y_mm,split\n0,1,2,3,4,5,1,1,test\n0,1,2,3,4,5,1,1,train\n\
                 0,1,2,3,4,5,1,1,\n0,1,2,3,4,5,1,1,validation\n";
     for (name, text) in [("some", some), ("one", &table(40, "")), ("two", &table(30, ""))] {
@@ -123,11 +126,8 @@ async fn a_split_of_the_file_and_a_split_by_run_are_obeyed() {
     }
     // Equal positions are in different parts, as the file states.
     let (status, made) = split(&lab, "imported", &["some"], json!({ "by": "imported" })).await;
-    assert_eq!(
-        (status, &made["report"]["left_out"]),
-        (200, &json!({ "no imported part": 1 })),
-        "{made}"
-    );
+    let left_out = &made["report"]["left_out"];
+    assert_eq!((status, left_out), (200, &json!({ "no imported part": 1 })), "{made}");
     let found: Vec<String> = parts(&lab, &made).await.into_iter().map(|(.., part)| part).collect();
     assert_eq!(found, ["test", "train", "validation"]);
     let (status, refused) = split(&lab, "none", &["one"], json!({ "by": "imported" })).await;
@@ -138,16 +138,10 @@ async fn a_split_of_the_file_and_a_split_by_run_are_obeyed() {
     let (status, made) = split(&lab, "left-out", &["one", "two"], by("two")).await;
     assert_eq!(status, 200, "{made}");
     let found = parts(&lab, &made).await;
-    let count =
-        |run: &str, part: &str| found.iter().filter(|(r, _, p)| r == run && p == part).count();
-    assert_eq!(
-        [count("one", "train"), count("one", "validation"), count("one", "test")],
-        [30, 10, 0]
-    );
-    assert_eq!(
-        [count("two", "train"), count("two", "validation"), count("two", "test")],
-        [0, 0, 30]
-    );
+    for (run, counts) in [("one", [30, 10, 0]), ("two", [0, 0, 30])] {
+        let count = |part: &str| found.iter().filter(|(r, _, p)| r == run && p == part).count();
+        assert_eq!(["train", "validation", "test"].map(count), counts, "{run}");
+    }
     let unknown = split(&lab, "unknown", &["one"], by("two")).await;
     support::is_refused(unknown, 400, "split.test_runs = two: must be one of");
     let all = split(&lab, "all", &["two"], by("two")).await;
@@ -156,10 +150,8 @@ async fn a_split_of_the_file_and_a_split_by_run_are_obeyed() {
     let batches = "name = \"without\"\ntask = \"trials\"\nruns = [\"one\", \"two\"]\nuntouched = \"keep\"\n\
                    [split]\nby = \"run\"\nratio = [3, 1, 0]\n";
     std::fs::write(files.join("batches.toml"), batches).unwrap();
-    let mut command = Command::new(PALPATE);
-    command.current_dir(&*files).args(["dataset", "make", "batches.toml", "--each-run", "--json"]);
-    command.args(["--url", &lab.url("")]);
-    let made = support::done(&support::finished(command).await);
+    let make = ["make", "batches.toml", "--each-run", "--json"];
+    let made = support::done(&dataset(&lab, &files, &make).await);
     for (at, (run, trials)) in [("one", 40), ("two", 30)].into_iter().enumerate() {
         let made = &made["items"][at];
         assert_eq!(made["name"], format!("without-{run}"), "{made}");
@@ -179,10 +171,7 @@ async fn a_split_of_the_file_and_a_split_by_run_are_obeyed() {
     let scan = third["run"]["scan_id"].to_string();
     let batches = batches.replace("\"one\"", &format!("\"{scan}\""));
     std::fs::write(files.join("all.toml"), batches).unwrap();
-    let mut command = Command::new(PALPATE);
-    command.current_dir(&*files).args(["dataset", "make", "all.toml", "--each-run"]);
-    command.args(["--url", &lab.url("")]);
-    let output = support::finished(command).await;
+    let output = dataset(&lab, &files, &["make", "all.toml", "--each-run"]).await;
     support::not_done(&output, 1, "without-two was not made: ");
     support::not_done(&output, 1, "must leave at least one");
     support::not_done(&output, 1, &format!("made before it: without-{scan} ds-"));
@@ -195,11 +184,8 @@ async fn a_split_of_the_file_and_a_split_by_run_are_obeyed() {
     std::fs::write(files.join("tagged.csv"), tagged).unwrap();
     support::succeeded(&import(&lab, &files, "tagged.csv", &[]).await);
     let (status, made) = split(&lab, "by-tag", &["tagged"], json!({ "by": "tag" })).await;
-    assert_eq!(
-        (status, &made["report"]["left_out"]),
-        (200, &json!({ "no imported tag": 5 })),
-        "{made}"
-    );
+    let left_out = &made["report"]["left_out"];
+    assert_eq!((status, left_out), (200, &json!({ "no imported tag": 5 })), "{made}");
     let path = "/api/v1/datasets/by-tag/rows?columns=imported_tag,split&limit=100";
     let mut part_of = std::collections::BTreeMap::new();
     for row in lab.items(path).await {
@@ -223,10 +209,7 @@ async fn a_split_of_the_file_and_a_split_by_run_are_obeyed() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_dry_run_shows_what_was_understood_and_stores_nothing() {
-    let lab = Filled::open("dry-run").await;
-    let files = Folder::new("dry-run");
-    let pad = "name = \"pad\"\nchannels = 3\nwidth_mm = 100\nheight_mm = 100\n";
-    std::fs::write(files.join("pad.toml"), pad).unwrap();
+    let (lab, files) = with_pad("dry-run", 3, 100).await;
     let text = "v0,v1,v2,x_mm,y_mm,force_n,weather,split\n0.5,,-1.5,10,20,2.5,rain,train\n1,2,3,,,,sun,test\n";
     std::fs::write(files.join("pad.csv"), text).unwrap();
     let runs = async || lab.get("/api/v1/runs").await["items"].as_array().unwrap().len();
@@ -260,10 +243,7 @@ async fn a_dry_run_shows_what_was_understood_and_stores_nothing() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn positions_of_a_robot_become_positions_on_the_skin() {
-    let lab = Filled::open("coordinates").await;
-    let files = Folder::new("coordinates");
-    let pad = "name = \"pad\"\nchannels = 3\nwidth_mm = 100\nheight_mm = 80\n";
-    std::fs::write(files.join("pad.toml"), pad).unwrap();
+    let (lab, files) = with_pad("coordinates", 3, 80).await;
     // The robot counts in metres from the corner opposite to the skin's.
     let text = "v0,v1,v2,x_mm,y_mm,force_n\n1,2,3,-0.1,-0.08,2\n1,2,3,0,-0.03,2\n";
     std::fs::write(files.join("robot.csv"), text).unwrap();
@@ -281,10 +261,8 @@ async fn positions_of_a_robot_become_positions_on_the_skin() {
     let place =
         |n: usize| ["x_mm", "y_mm"].map(|key| found[n]["contacts"][0][key].as_f64().unwrap());
     assert_eq!((place(0), place(1)), ([0.0, 0.0], [100.0, 50.0]));
-    assert!(
-        made["run"]["definition"].as_str().is_none_or(|text| text.contains("coordinates")),
-        "{made}"
-    );
+    let definition = made["run"]["definition"].as_str();
+    assert!(definition.is_none_or(|text| text.contains("coordinates")), "{made}");
     std::fs::write(files.join("map.toml"), "rotate_deg = 400\n").unwrap();
     let output = import(&lab, &files, "robot.csv", &["--coordinates", "map.toml"]).await;
     support::not_done(&output, 2, "rotate_deg: must be from -360 to 360");

@@ -89,11 +89,9 @@ async fn another_skins_trials_are_a_run_like_any_other() {
     let (status, made) = import(&lab, parquet(good()), PAD).await;
     assert_eq!(status, 201, "{made}");
     assert_eq!((&made["trials"], &made["columns_left_out"][0]), (&3.into(), &"weather".into()));
-    assert_eq!(
-        (&made["run"]["kind"], &made["run"]["label"]),
-        (&"imported".into(), &"measured".into())
-    );
-    let run = made["run"]["scan_id"].as_i64().unwrap();
+    let run = &made["run"];
+    assert_eq!((&run["kind"], &run["label"]), (&"imported".into(), &"measured".into()));
+    let run = run["scan_id"].as_i64().unwrap();
     // The same upload again, after a lost answer, doubles nothing.
     let again = import(&lab, parquet(good()), PAD).await;
     is_refused(again, 409, &format!("imported as run {run}"));
@@ -121,15 +119,12 @@ async fn another_skins_trials_are_a_run_like_any_other() {
     let both = json!({ "definition": { "name": "both", "task": "real",
         "runs": ["1", run.to_string()] } });
     lab.refuses("/api/v1/datasets", both, 409, "run 1 is virtual").await;
-    let own = json!({ "definition": { "name": "pad", "task": "real",
-        "runs": ["pad-study"] } });
-    let (status, own) = lab.post("/api/v1/datasets", own).await;
-    assert_eq!((status, &own["rows"]), (200, &2.into()), "{own}");
+    let own = json!({ "name": "pad", "task": "real", "runs": ["pad-study"] });
+    assert_eq!(lab.defined(own).await["rows"], 2);
     // A deadband removes the contact of 2.5 N, and keeps the one whose force is not known.
-    let heavy = json!({ "definition": { "name": "pad-heavy", "task": "real",
-        "runs": ["pad-study"], "deadband_n": 3.0, "untouched": "keep" } });
-    let (status, heavy) = lab.post("/api/v1/datasets", heavy).await;
-    assert_eq!((status, &heavy["rows"]), (200, &3.into()), "{heavy}");
+    let heavy = json!({ "name": "pad-heavy", "task": "real", "runs": ["pad-study"],
+        "deadband_n": 3.0, "untouched": "keep" });
+    assert_eq!(lab.defined(heavy).await["rows"], 3);
     let path = "/api/v1/datasets/pad-heavy/rows?columns=contact_count,contacts,max_force_n";
     let rows = lab.get(path).await["items"].clone();
     let found = |row: usize| (rows[row]["contact_count"].clone(), rows[row]["contacts"].clone());
@@ -196,31 +191,24 @@ async fn what_cannot_be_used_is_named_and_nothing_is_stored() {
     ]);
     let numbers = Arc::new(Int64Array::from(vec![1, 2, 3])) as ArrayRef;
     let words = parquet(vec![("voltages_v", numbers), ("contacts", contacts(12.5))]);
-    let halves = Arc::new(Float64Array::from(vec![0.0, 0.5, 1.0])) as ArrayRef;
-    let mut half = good();
-    half.push(("configuration", halves));
-    let twice = {
-        let zeros = Arc::new(Int64Array::from(vec![0, 0, 0])) as ArrayRef;
-        let mut columns = good();
-        columns.push(("configuration", zeros));
-        parquet(columns)
+    let flat = "channels = 4\nname = \"p\"\nwidth_mm = 0\nheight_mm = 1\n";
+    let with = |configurations: ArrayRef| {
+        parquet([good(), vec![("configuration", configurations)]].concat())
     };
+    let half = with(Arc::new(Float64Array::from(vec![0.0, 0.5, 1.0])));
+    let twice = with(Arc::new(Int64Array::from(vec![0, 0, 0])));
     for (file, sensor, wanted) in [
         (wrong_length, PAD, "row 0, voltages_v = 3 values: must have the 4 values of sensor pad"),
         (outside, PAD, "row 0, contacts[0].x_mm = 120: must be from 0 to 100"),
         (infinite, PAD, "row 0, voltages_v = infinite"),
         (words, PAD, "must be a column of lists of numbers"),
-        (parquet(half), PAD, "configuration = 0.5: must be a column of whole numbers"),
+        (half, PAD, "configuration = 0.5: must be a column of whole numbers"),
         (parquet(vec![good().remove(0)]), PAD, "contacts = absent"),
         (twice, PAD, "must occur once"),
         (parquet(vec![("weather", frames(4, vec![Some(1.0); 4]))]), PAD, "voltages_v = absent"),
         (b"PAR2 or so".to_vec(), PAD, "must be a Parquet file"),
         (parquet(good()), "name = \"pad\"\n", "channels"),
-        (
-            parquet(good()),
-            "channels = 4\nname = \"p\"\nwidth_mm = 0\nheight_mm = 1\n",
-            "width_mm = 0",
-        ),
+        (parquet(good()), flat, "width_mm = 0"),
     ] {
         is_refused(import(&lab, file, sensor).await, 400, wanted);
     }
@@ -244,17 +232,13 @@ async fn depths_of_a_configuration_stay_together_under_a_deadband() {
     let columns = vec![("voltages_v", frames(4, volts)), ("contacts", lists(&touches, [2; 40]))];
     let (status, made) = import(&lab, parquet(columns), PAD).await;
     assert_eq!(status, 201, "{made}");
-    let heavy = json!({ "definition": { "name": "heavy", "task": "real",
-        "runs": ["pad-study"], "deadband_n": 3.0 } });
-    let (status, made) = lab.post("/api/v1/datasets", heavy).await;
-    assert_eq!((status, &made["rows"]), (200, &40.into()), "{made}");
+    let heavy =
+        json!({ "name": "heavy", "task": "real", "runs": ["pad-study"], "deadband_n": 3.0 });
+    assert_eq!(lab.defined(heavy).await["rows"], 40);
     let path = "/api/v1/datasets/heavy/rows?columns=trial_id,split,contact_count&limit=100";
     let rows = lab.items(path).await;
     for depths in rows.chunks(2) {
-        assert_eq!(
-            (&depths[0]["contact_count"], &depths[1]["contact_count"]),
-            (&1.into(), &2.into())
-        );
+        assert_eq!([0, 1].map(|at| depths[at]["contact_count"].as_u64()), [Some(1), Some(2)]);
         assert_eq!(depths[0]["split"], depths[1]["split"], "{depths:?}");
     }
     let parts = |part: &str| rows.iter().filter(|row| row["split"] == part).count();

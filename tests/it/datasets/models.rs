@@ -61,6 +61,12 @@ impl Filled {
         self.result("/api/v1/evaluations", request).await
     }
 
+    /// Asks for the answers to frames as bytes.
+    async fn infers(&self, query: &str, bytes: Vec<u8>) -> (u16, Value) {
+        let request = self.http.post(self.url(&format!("/api/v1/infer?{query}")));
+        answered(request.header("content-type", "application/octet-stream").body(bytes)).await
+    }
+
     async fn a_frame(&self) -> Value {
         self.make("real").await;
         let page = self.get("/api/v1/datasets/real/rows?columns=voltages_v&limit=1").await;
@@ -81,10 +87,8 @@ async fn nets_are_trained_scored_promoted_and_asked() {
     assert_eq!((&model["id"], &model["task"]), (&json!(transfer), &json!("transfer")));
     let manifest = &model["manifest"];
     assert_eq!(manifest["label"], "virtual");
-    assert_eq!(
-        (&manifest["calibration"], &manifest["simulation"]),
-        (&json!("cal-1"), &json!("sim-0000000000000001"))
-    );
+    assert_eq!(manifest["calibration"], "cal-1");
+    assert_eq!(manifest["simulation"], "sim-0000000000000001");
     assert!(manifest["datasets"][0].as_str().unwrap().starts_with("ds-"));
     assert!(manifest["trained_on"]["max_force_n"].as_f64().unwrap() > 5.0);
     let dataset = manifest["datasets"][0].as_str().unwrap();
@@ -143,12 +147,7 @@ async fn nets_are_trained_scored_promoted_and_asked() {
         .iter()
         .flat_map(|v| (v.as_f64().unwrap() as f32).to_le_bytes())
         .collect();
-    let raw = lab
-        .http
-        .post(lab.url("/api/v1/infer?method=paper&map=true"))
-        .header("content-type", "application/octet-stream")
-        .body(bytes);
-    let (_, raw) = answered(raw).await;
+    let (_, raw) = lab.infers("method=paper&map=true", bytes).await;
     assert_eq!(raw[0]["force_map_n"], answers[0]["force_map_n"]);
 
     let lab = Filled::serve(lab.end().await).await;
@@ -225,12 +224,7 @@ async fn what_cannot_be_is_named_and_changes_nothing() {
     }
     let nan: Vec<u8> = [f32::NAN; 784].iter().flat_map(|v| v.to_le_bytes()).collect();
     for (bytes, words) in [(nan.clone(), "frames[0][0] = NaN"), (nan[..13].to_vec(), "body = 13")] {
-        let request = lab
-            .http
-            .post(lab.url("/api/v1/infer?method=fast"))
-            .header("content-type", "application/octet-stream")
-            .body(bytes);
-        is_refused(answered(request).await, 422, words);
+        is_refused(lab.infers("method=fast", bytes).await, 422, words);
     }
 
     let id = lab.trained(&net).await;
@@ -320,10 +314,9 @@ async fn touches_without_forces_are_learned_and_scored_and_no_force_is_made_up()
     let sensor = "name = \"mat\"\nchannels = 16\nwidth_mm = 320\nheight_mm = 320\n";
     let (status, made) = import(&lab, file, sensor).await;
     assert_eq!(status, 201, "{made}");
-    let own = json!({ "definition": { "name": "mat", "task": "real", "runs": ["pad-study"],
-        "split": { "ratio": [3, 1, 1], "seed": 1, "by": "trial" } } });
-    let (status, own) = lab.post("/api/v1/datasets", own).await;
-    assert_eq!((status, &own["rows"]), (200, &json!(trials)), "{own}");
+    let own = json!({ "name": "mat", "task": "real", "runs": ["pad-study"],
+        "split": { "ratio": [3, 1, 1], "seed": 1, "by": "trial" } });
+    assert_eq!(lab.defined(own).await["rows"], trials);
 
     let recipe = RECON_NET
         .replace("\"real\"", "\"mat\"")
