@@ -131,8 +131,7 @@ async fn a_refused_request_may_be_repeated_after_its_cause_is_gone() {
     let export = json!({ "dataset": "mine", "format": "csv" });
     let (status, .., refused) = parts(lab.keyed("/api/v1/exports", "e", &export).await).await;
     assert_eq!(status, 404, "{refused}");
-    let mine = json!({ "definition": { "name": "mine", "task": "real", "runs": ["1"] } });
-    assert_eq!(lab.post("/api/v1/datasets", mine).await.0, 200);
+    lab.defined(json!({ "name": "mine", "task": "real", "runs": ["1"] })).await;
     let first = parts(lab.keyed("/api/v1/exports", "e", &export).await).await;
     assert_eq!((first.0, first.2), (202, false), "{first:?}");
     let again = parts(lab.keyed("/api/v1/exports", "e", &export).await).await;

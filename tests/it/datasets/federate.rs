@@ -43,6 +43,23 @@ impl Called {
         let rigs = self.answer["rigs"].as_array().unwrap_or_else(|| panic!("{}", self.errors));
         rigs.iter().map(|rig| rig[key].as_str().unwrap_or("-").to_owned()).collect()
     }
+
+    fn states(&self) -> String {
+        self.each("state").join(" ")
+    }
+
+    /// The call must have failed with these words.
+    fn is_refused(&self, words: &str) {
+        assert!(self.code == 2 && self.errors.contains(words), "{words}: {}", self.errors);
+    }
+}
+
+/// Ends the services, and removes the folder around that of a call.
+async fn close(labs: impl IntoIterator<Item = Filled>, out: &Path) {
+    for lab in labs {
+        lab.close().await;
+    }
+    std::fs::remove_dir_all(out.parent().unwrap()).unwrap();
 }
 
 /// Runs a command of `palpate` without the environment of the tests.
@@ -111,7 +128,7 @@ async fn two_rigs_become_tables_whose_ids_no_two_rows_share() {
     let out = folder("federate-lab").join("lab");
     let words = [format!("a={}", a.url("")), format!("b={}", b.url(""))];
     let first = federate(&out, &[&words[0], &words[1]]).await;
-    assert_eq!((first.code, first.each("state").concat().as_str()), (0, "fetchedfetched"));
+    assert_eq!((first.code, first.states().as_str()), (0, "fetched fetched"));
     assert_eq!(first.answer["rows"], 2 * REAL);
     let mut ids = BTreeSet::new();
     for name in ["a", "b"] {
@@ -162,7 +179,7 @@ async fn two_rigs_become_tables_whose_ids_no_two_rows_share() {
     assert_eq!(stale.each("note"), ["trials were stored since it was made", "-"]);
     a.make("real").await;
     let newer = federate(&out, &[&at_a, &words[1]]).await;
-    assert_eq!((newer.code, newer.each("state").concat().as_str()), (0, "fetchedunchanged"));
+    assert_eq!((newer.code, newer.states().as_str()), (0, "fetched unchanged"));
     assert_eq!(newer.answer["rows"], 2 * REAL + 3);
     let of_a = rows(&table(&out, "a"), ["run", "trial"], "configuration");
     let (run, id, configuration) = of_a.last().unwrap();
@@ -180,13 +197,10 @@ async fn two_rigs_become_tables_whose_ids_no_two_rows_share() {
     }
     let split = json!({ "by": "run", "test_runs": ["b"] });
     let definition = json!({ "name": "lab", "task": "real", "runs": ["a", "b"], "split": split });
-    let (status, made) = desk.post("/api/v1/datasets", json!({ "definition": definition })).await;
-    assert_eq!((status, &made["rows"]), (200, &json!(2 * REAL + 3)), "{made}");
+    let made = desk.defined(definition).await;
+    assert_eq!(made["rows"], 2 * REAL + 3);
     assert_eq!(made["report"]["parts"]["test"], REAL);
-    for lab in [a, b, desk] {
-        lab.close().await;
-    }
-    std::fs::remove_dir_all(out.parent().unwrap()).unwrap();
+    close([a, b, desk], &out).await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -205,10 +219,7 @@ async fn a_rig_that_is_down_is_shown_and_not_waited_for() {
     let start = Instant::now();
     let called = federate(&out, &words).await;
     assert!(start.elapsed() < LIMIT, "{:?}", start.elapsed());
-    assert_eq!(
-        (called.code, called.each("state").join(" ").as_str()),
-        (1, "unchanged kept absent")
-    );
+    assert_eq!((called.code, called.states().as_str()), (1, "unchanged kept absent"));
     assert_eq!(called.answer["rows"], 2 * REAL);
     assert_eq!(called.each("fetched_at")[..2], first.each("fetched_at"));
     let notes = called.each("note");
@@ -231,8 +242,7 @@ async fn a_rig_that_is_down_is_shown_and_not_waited_for() {
     let nothing = federate(&out.with_file_name("none"), &words[1..2]).await;
     assert_eq!((nothing.code, &nothing.answer["rows"]), (1, &Value::Null));
     assert!(!out.with_file_name("none").exists());
-    a.close().await;
-    std::fs::remove_dir_all(out.parent().unwrap()).unwrap();
+    close([a], &out).await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -248,25 +258,19 @@ async fn a_dataset_whose_bytes_are_not_those_of_its_sha256_is_refused_by_name() 
     let kept = out.join(format!("fetched/b/{id}.parquet"));
     damage(&kept);
     let refused = federate(&out, &words).await;
-    assert_eq!(refused.code, 2);
     for word in ["rig b: sha256 of ", &id, "and it is fetched again"] {
-        assert!(refused.errors.contains(word), "{word}: {}", refused.errors);
+        refused.is_refused(word);
     }
     assert!(!refused.errors.contains("rig a"), "{}", refused.errors);
     std::fs::remove_file(&kept).unwrap();
     let again = federate(&out, &words).await;
-    assert_eq!((again.code, again.each("state").concat().as_str()), (0, "unchangedfetched"));
+    assert_eq!((again.code, again.states().as_str()), (0, "unchanged fetched"));
     // What the service sends is not what it states.
     damage(&b.data.join(format!("datasets/{id}.parquet")));
     std::fs::remove_file(&kept).unwrap();
-    let refused = federate(&out, &words).await;
-    assert_eq!(refused.code, 2);
-    assert!(refused.errors.contains("is not the one that it states"), "{}", refused.errors);
+    federate(&out, &words).await.is_refused("is not the one that it states");
     assert!(!kept.exists() && files(&out.join("trials")) == before);
-    for lab in [a, b] {
-        lab.close().await;
-    }
-    std::fs::remove_dir_all(out.parent().unwrap()).unwrap();
+    close([a, b], &out).await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -281,26 +285,18 @@ async fn rigs_that_differ_are_refused_with_the_field_that_differs() {
     let out = folder("federate-differ").join("lab");
     let (at_a, at_tall) = (format!("a={}", a.url("")), format!("tall={}", tall.url("")));
     let refused = federate(&out, &[&at_a, &at_tall]).await;
-    assert_eq!(refused.code, 2);
-    let words = "rigs a and tall: sensor.height_mm = 560.0 and 570.0";
-    assert!(refused.errors.contains(words), "{}", refused.errors);
-    assert!(refused.errors.contains("--apart"), "{}", refused.errors);
+    refused.is_refused("rigs a and tall: sensor.height_mm = 560.0 and 570.0");
+    refused.is_refused("--apart");
     assert!(!out.join("manifest.json").exists() && files(&out.join("trials")).is_empty());
     let apart = federate(&out, &[&at_a, &at_tall, "--apart"]).await;
     assert_eq!((apart.code, &apart.answer["rows"]), (0, &json!(REAL + 3)), "{}", apart.errors);
     // One service under two names would give its trials twice; --apart does not allow it.
     let again = format!("b={}", a.url(""));
-    let refused = federate(&out, &[&at_a, &again, "--apart"]).await;
-    assert_eq!(refused.code, 2);
-    assert!(refused.errors.contains("rigs a and b: run = "), "{}", refused.errors);
+    federate(&out, &[&at_a, &again, "--apart"]).await.is_refused("rigs a and b: run = ");
     // The folder belongs to one dataset.
     let refused = federate(&out, &[&at_a, "--dataset", "real-unseen"]).await;
-    assert_eq!(refused.code, 2);
-    assert!(refused.errors.contains("has the dataset real already"), "{}", refused.errors);
-    for lab in [a, tall] {
-        lab.close().await;
-    }
-    std::fs::remove_dir_all(out.parent().unwrap()).unwrap();
+    refused.is_refused("has the dataset real already");
+    close([a, tall], &out).await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -319,12 +315,7 @@ async fn each_service_gets_its_own_key_from_a_file() {
     std::fs::write(&rigs, format!("[a]\nurl = \"{url}\"\nkey_file = \"a.key\"\n")).unwrap();
     let rigs = rigs.display().to_string();
     let with = federate(&out, &["--rigs", &rigs]).await;
-    assert_eq!(
-        (with.code, with.each("state").concat().as_str()),
-        (0, "fetched"),
-        "{}",
-        with.errors
-    );
+    assert_eq!((with.code, with.states().as_str()), (0, "fetched"), "{}", with.errors);
     lab.close().await;
     std::fs::remove_dir_all(files).unwrap();
 }

@@ -30,10 +30,8 @@ async fn real_is_labelled_split_and_says_what_it_leaves_out() {
     // Depth 3 presses with 5.0 and 5.3 N; the deadband itself counts.
     assert_eq!(report["contact_counts"], json!({ "2": TRIALS - UNTOUCHED - FLAGGED }));
     let untouched = lab.make("real-untouched").await;
-    assert_eq!(
-        (&untouched["rows"], &untouched["report"]["contact_counts"]["0"]),
-        (&json!(90), &json!(90))
-    );
+    let counts = &untouched["report"]["contact_counts"];
+    assert_eq!([&untouched["rows"], &counts["0"]], [90, 90]);
     let unseen = lab.make("real-unseen").await;
     assert_eq!(unseen["rows"], 12);
     // Nominal contacts stay though they are under the deadband.
@@ -76,9 +74,9 @@ async fn equal_places_never_straddle_a_split_and_datasets_divide_alike() {
         assert_eq!(row["split"], real[trial]["split"], "trial {trial}");
     }
     // By trial, as in the paper's tables, and in every number of contacts alike.
-    let by_trial = json!({ "definition": { "name": "by-trial", "task": "real",
-        "deadband_n": 10.0, "split": { "by": "trial", "stratify": true } } });
-    let made = lab.posted("/api/v1/datasets", by_trial, 200).await;
+    let by_trial = json!({ "name": "by-trial", "task": "real", "deadband_n": 10.0,
+        "split": { "by": "trial", "stratify": true } });
+    let made = lab.defined(by_trial).await;
     let by_trial = rows(&lab, made["id"].as_str().unwrap(), "split,contact_count").await;
     for contacts in 1..=2 {
         let of = |part: &str| {
@@ -111,10 +109,8 @@ async fn an_id_is_its_contents_and_a_name_follows_them() {
     assert_eq!(lab.make("r2s-transfer").await["id"], first["id"]);
     assert_eq!(std::fs::read(&file).unwrap(), bytes);
     // Another deadband produces other labels: another dataset.
-    let relabelled = json!({ "definition": { "name": "softer", "task": "r2s-transfer",
-        "deadband_n": 6.0 } });
-    let (_, relabelled) = lab.post("/api/v1/datasets", relabelled).await;
-    assert_ne!(relabelled["id"], first["id"]);
+    let softer = json!({ "name": "softer", "task": "r2s-transfer", "deadband_n": 6.0 });
+    assert_ne!(lab.defined(softer).await["id"], first["id"]);
     // Twins of a newer model: the name refers to another dataset, the id still the old one.
     let data = lab.end().await;
     let store = filled::store(&data).await;
@@ -197,19 +193,15 @@ async fn older_datasets_go_on_request_unless_a_model_was_trained_on_them() {
         assert_eq!(stays(1), &Value::Null);
         assert_eq!(stays(2), "one of the 1 newest of its name");
         assert_eq!(rows.iter().filter(|row| row["stays"].is_null()).count(), 1, "{pruned}");
-        assert_eq!(
-            (&pruned["freed_bytes"], &pruned["dry_run"]),
-            (&made[1]["bytes"], &json!(dry_run))
-        );
+        assert_eq!(pruned["freed_bytes"], made[1]["bytes"]);
+        assert_eq!(pruned["dry_run"], dry_run);
         assert_eq!([file(1, "parquet"), file(1, "md")].map(|file| file.exists()), [dry_run; 2]);
     }
     let gone = lab.refused(&format!("/api/v1/datasets/{}", id(1))).await;
     assert_eq!(gone.0, 404, "{}", gone.1);
     for at in [0, 2] {
-        assert_eq!(
-            lab.get(&format!("/api/v1/datasets/{}", id(at))).await["rows"],
-            made[at]["rows"]
-        );
+        let stays = lab.get(&format!("/api/v1/datasets/{}", id(at))).await;
+        assert_eq!(stays["rows"], made[at]["rows"]);
     }
     lab.close().await;
 }
