@@ -60,6 +60,14 @@ async fn plays(lab: &Lab, (python, chromium): &(String, String), scenario: &str)
     assert!(output.status.success(), "{scenario}: {}", said.join("\n"));
 }
 
+/// Opens a lab, and runs a scenario in the browser to its end.
+async fn scenario(lab: impl Future<Output = Lab>, name: &str) {
+    let Some(tools) = tools() else { return };
+    let lab = lab.await;
+    plays(&lab, tools, name).await;
+    lab.close().await;
+}
+
 /// A lab with a long run under way, and the run's uid.
 async fn running(name: &str) -> (Lab, String) {
     let lab = Lab::homed(name, SPEED, COMPUTES).await;
@@ -146,10 +154,7 @@ async fn a_homing_ends_by_the_button_that_is_there_while_it_moves() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn the_stop_needs_no_mouse() {
-    let Some(tools) = tools() else { return };
-    let (lab, _) = running("browser-keyboard").await;
-    plays(&lab, tools, "keyboard").await;
-    lab.close().await;
+    scenario(async { running("browser-keyboard").await.0 }, "keyboard").await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -202,24 +207,16 @@ async fn a_lost_connection_is_shown_and_heals() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn axe_finds_no_serious_fault_on_any_page_of_an_empty_service() {
-    let Some(tools) = tools() else { return };
-    let lab = Lab::open("browser-axe-empty", rig_args("virtual", 1.0), COMPUTES).await;
-    plays(&lab, tools, "axe_empty").await;
-    lab.close().await;
+    let lab = Lab::open("browser-axe-empty", rig_args("virtual", 1.0), COMPUTES);
+    scenario(lab, "axe_empty").await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn orders_of_bulk_work_are_cancelled_gathered_and_submitted() {
-    let Some(tools) = tools() else { return };
-    let lab = Lab::open("browser-bulk", rig_args("virtual", 1.0), COMPUTES).await;
-    plays(&lab, tools, "bulk").await;
-    lab.close().await;
+    scenario(Lab::open("browser-bulk", rig_args("virtual", 1.0), COMPUTES), "bulk").await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_page_has_no_element_for_each_trial_or_event() {
-    let Some(tools) = tools() else { return };
-    let lab = Lab::homed("browser-size", 40.0, COMPUTES).await;
-    plays(&lab, tools, "size").await;
-    lab.close().await;
+    scenario(Lab::homed("browser-size", 40.0, COMPUTES), "size").await;
 }

@@ -1,6 +1,7 @@
 //! The campaign's thread on the virtual rig's wires, with a journal that obeys the test. What the
 //! rig truly did is asked at its control socket; what the service knows is its status.
 
+use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -114,6 +115,18 @@ impl Harness {
     pub async fn resume_to_the_end(&self) {
         self.ask(Request::Resume).await.unwrap();
         self.until("the end", |s| s.run.is_none()).await;
+    }
+
+    /// Resets a trip that left the run to a person, and resumes it to its end: its 18 trials are stored, each once.
+    pub async fn recovers(&self) {
+        self.ask(Request::Reset).await.unwrap();
+        self.run_is(StoredState::Paused).await;
+        self.home().await;
+        self.resume_to_the_end().await;
+        let taken = self.journal.taken();
+        let distinct: BTreeSet<_> = taken.trials.iter().map(|t| t.key).collect();
+        assert_eq!((taken.trials.len(), distinct.len()), (18, 18));
+        assert_eq!(taken.ends[0].0.as_str(), "success", "{:?}", taken.ends);
     }
 
     /// Homes, and waits for it.

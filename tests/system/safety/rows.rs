@@ -6,7 +6,6 @@ use std::time::Duration;
 
 use palpate::campaign::bench::interlock::TripKind;
 use palpate::campaign::bench::rig_state::RigState;
-use palpate::campaign::shown::command::Request;
 use palpate::campaign::shown::safe_end::Tips;
 use palpate::campaign::shown::status::Status;
 use serde_json::json;
@@ -122,15 +121,7 @@ async fn an_alarm_of_z_in_contact_is_for_a_person_and_the_run_goes_on_afterwards
     assert!(matches!(status.rig.safe_end.unwrap().tips, Tips::NotRaised(_)));
     harness.run_is(StoredState::Panicked).await;
     harness.tell(json!({ "cmd": "mend" })).await;
-    harness.ask(Request::Reset).await.unwrap();
-    harness.run_is(StoredState::Paused).await;
-    harness.home().await;
-    harness.resume_to_the_end().await;
-    {
-        let taken = harness.journal.taken();
-        assert_eq!(taken.trials.len(), 18);
-        assert_eq!(taken.ends[0].0.as_str(), "success", "{:?}", taken.ends);
-    }
+    harness.recovers().await;
     assert_eq!(harness.truth().await["lateral_in_contact"], 0);
     harness.close().await;
 }
@@ -174,16 +165,7 @@ async fn a_drive_that_switches_its_motor_off_ends_the_press_and_waits_for_a_pers
             let [before, now] = [&held, &after].map(|truth| truth["axes"][i]["position"].as_f64());
             assert!((before.unwrap() - now.unwrap()).abs() < 1e-6, "{after:#}");
         }
-        harness.ask(Request::Reset).await.unwrap();
-        harness.run_is(StoredState::Paused).await;
-        harness.home().await;
-        harness.resume_to_the_end().await;
-        {
-            let taken = harness.journal.taken();
-            let distinct: BTreeSet<_> = taken.trials.iter().map(|t| t.key).collect();
-            assert_eq!((taken.trials.len(), distinct.len()), (18, 18));
-            assert_eq!(taken.ends[0].0.as_str(), "success", "{:?}", taken.ends);
-        }
+        harness.recovers().await;
         harness.close().await;
     }
 }
