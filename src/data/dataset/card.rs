@@ -133,28 +133,25 @@ fn counts(card: &mut String, heading: &str, counts: &Value) -> std::fmt::Result 
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use jiff::Timestamp;
     use serde_json::json;
 
     use super::*;
     use crate::ids::DatasetId;
 
+    /// A dataset `real` of three rows.
+    pub(in super::super) fn row(definition: Value, report: Value, lineage: Value) -> DatasetRow {
+        let (id, name, sha256) = (DatasetId::unchecked("ds-1"), "real".into(), "ab".into());
+        let (rows, bytes, created_at) = (3, 9, Timestamp::UNIX_EPOCH);
+        DatasetRow { id, name, definition, rows, bytes, sha256, report, lineage, created_at }
+    }
+
     #[test]
     fn placed_weights_are_contacts_whatever_their_force() {
         let run = |kind: &str| json!({ "kind": kind, "trials": 3, "deadband_n": 5.0 });
-        let row = DatasetRow {
-            id: DatasetId::unchecked("ds-1"),
-            name: "real".into(),
-            definition: json!({}),
-            rows: 6,
-            bytes: 9,
-            sha256: "ab".into(),
-            report: json!({}),
-            lineage: json!({ "runs": [run("real-hex"), run("real-random")] }),
-            created_at: Timestamp::UNIX_EPOCH,
-        };
-        let card = text(&row);
+        let lineage = json!({ "runs": [run("real-hex"), run("real-random")] });
+        let card = text(&row(json!({}), json!({}), lineage));
         assert!(card.contains(": 3 trials, contacts from 5.0 N\n"), "{card}");
         assert!(card.contains(": 3 trials, placed contacts\n"), "{card}");
     }

@@ -96,8 +96,7 @@ fn description(row: &DatasetRow) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::ids::DatasetId;
-    use jiff::Timestamp;
+    use crate::dataset::card::tests::row;
 
     #[test]
     fn fields_have_types_units_and_meanings() {
@@ -106,17 +105,10 @@ mod tests {
             { "name": "voltages_v", "type": "float32[784]", "unit": "V" },
             { "name": "tips", "type": "uint8", "unit": null },
         ]);
-        let row = DatasetRow {
-            id: DatasetId::unchecked("ds-1"),
-            name: "real".into(),
-            definition: json!({ "license": "CC-BY-4.0" }),
-            rows: 3,
-            bytes: 9,
-            sha256: "ab".into(),
-            report: json!({ "columns": columns, "parts": {}, "contact_counts": { "2": 3 } }),
-            lineage: json!({ "runs": [{ "scan_id": 4, "experiment": "hex", "label": "virtual" }] }),
-            created_at: Timestamp::UNIX_EPOCH,
-        };
+        let report = json!({ "columns": columns, "parts": {}, "contact_counts": { "2": 3 } });
+        let lineage =
+            json!({ "runs": [{ "scan_id": 4, "experiment": "hex", "label": "virtual" }] });
+        let row = row(json!({ "license": "CC-BY-4.0" }), report, lineage);
         let package = of(&row, "/api/v1/data/ds-1.parquet");
         let fields = &package["resources"][0]["schema"]["fields"];
         assert_eq!(fields[0]["type"], "number");

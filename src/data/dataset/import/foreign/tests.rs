@@ -212,10 +212,8 @@ fn arrays_of_either_order_and_compression_are_read() {
         );
         let (trials, left_out) = read("pad.npz", &bytes).unwrap();
         assert_eq!(left_out, ["notes"]);
-        assert_eq!(
-            (&trials[0].voltages_v[..], &trials[1].voltages_v[..]),
-            (&[1.0, 2.0, 3.0][..], &[4.0, 5.0, 6.0][..])
-        );
+        assert_eq!(trials[0].voltages_v, [1.0, 2.0, 3.0]);
+        assert_eq!(trials[1].voltages_v, [4.0, 5.0, 6.0]);
         assert_eq!(trials[0].contacts, [touch(10.0, 20.0, Some(1.5)), touch(30.0, 40.0, None)]);
         assert_eq!(trials[1].contacts, [touch(50.0, 60.0, Some(2.5))]);
         assert_eq!((trials[0].depth_index, trials[1].depth_index), (3, 4));
@@ -368,10 +366,8 @@ fn matrices_are_read_by_columns_compressed_or_not() {
     let file = mat(&[compressed(&volts), text, xy, compressed(&depth), tag]);
     let (trials, left_out) = read("pad.mat", &file).unwrap();
     assert_eq!(left_out, ["comment"]);
-    assert_eq!(
-        (&trials[0].voltages_v[..], &trials[1].voltages_v[..]),
-        (&[1.0, 2.0, 3.0][..], &[4.0, 5.0, 6.0][..])
-    );
+    assert_eq!(trials[0].voltages_v, [1.0, 2.0, 3.0]);
+    assert_eq!(trials[1].voltages_v, [4.0, 5.0, 6.0]);
     assert_eq!(trials[0].contacts, [touch(10.0, 20.0, None)]);
     assert_eq!(trials[1].contacts, [touch(50.0, 60.0, None)]);
     assert_eq!((trials[0].depth_index, trials[1].depth_index), (3, 4));
