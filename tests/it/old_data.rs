@@ -82,10 +82,8 @@ fn assert_holds(found: &Value, wanted: &Value, at: &str) {
         }
         (Value::Number(found), Value::Number(wanted)) => {
             let (found, wanted) = (found.as_f64().unwrap(), wanted.as_f64().unwrap());
-            assert!(
-                (found - wanted).abs() <= f64::EPSILON * wanted.abs(),
-                "{at}: {found} {wanted}"
-            );
+            let is_near = (found - wanted).abs() <= f64::EPSILON * wanted.abs();
+            assert!(is_near, "{at}: {found} {wanted}");
         }
         (Value::String(found), Value::String(wanted)) if at.ends_with("at") => {
             let time = |text: &str| text.parse::<Timestamp>().map_err(|_| text.to_owned());

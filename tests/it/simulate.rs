@@ -86,18 +86,13 @@ fn a_line_that_cannot_be_used_ends_the_command_and_is_named() {
         let error = &told[told.find("error: ").unwrap()..];
         assert!(error.starts_with(&format!("error: standard input line 2: {words}")), "{told}");
         assert_eq!(output.status.code(), Some(2), "{told}");
-        assert_eq!(
-            String::from_utf8_lossy(&output.stdout).lines().count(),
-            1,
-            "line 1 is answered"
-        );
+        let answers = String::from_utf8_lossy(&output.stdout).lines().count();
+        assert_eq!(answers, 1, "line 1 is answered");
     }
     let seven = format!("{{\"contacts\":[{}]}}\n", [&ONE[13..ONE.len() - 2]; 7].join(","));
     let told = String::from_utf8(simulate(&[], &seven).stderr).unwrap();
-    assert_eq!(
-        told,
-        "error: standard input line 1: contacts = 7 contacts: must be at most 6 contacts\n"
-    );
+    let words = "contacts = 7 contacts: must be at most 6 contacts";
+    assert_eq!(told, format!("error: standard input line 1: {words}\n"));
     assert_eq!(frames(&simulate(&["--max-contacts", "7"], &seven)).len(), 1);
 }
 

@@ -208,11 +208,8 @@ async fn a_run_whose_start_another_person_takes_back_is_followed_no_longer() {
     let (last, code) = waiting.end();
     assert_eq!((code, &last["scan_id"]), (1, &json!(2)), "{last:#}");
     assert_eq!(last["reason"], "it does not begin by itself any more: start it again");
-    let queued = desk.queued();
-    assert_eq!(
-        (&queued[0]["experiment"], &queued[0]["waiting_since"]),
-        (&json!("next"), &Value::Null)
-    );
+    let next = &desk.queued()[0];
+    assert_eq!((&next["experiment"], &next["waiting_since"]), (&json!("next"), &Value::Null));
 }
 
 #[tokio::test(flavor = "multi_thread")]

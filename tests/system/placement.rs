@@ -169,11 +169,8 @@ async fn a_wrong_placement_is_refused_placed_anyway_repeated_and_the_run_resumes
     let (refused, problem) = lab.act(&run, confirm(0)).await;
     let detail = problem["detail"].as_str().unwrap();
     assert_eq!(refused, 409, "{problem:#}");
-    let point = page["contacts"][0]["point"].as_str().unwrap();
-    assert!(
-        detail.contains("weight 1 (") && detail.contains(&format!("asked at {point}")),
-        "{detail}"
-    );
+    let asked_at = format!("asked at {}", page["contacts"][0]["point"].as_str().unwrap());
+    assert!(detail.contains("weight 1 (") && detail.contains(&asked_at), "{detail}");
     assert!(detail.contains(" mm ") && detail.contains("near R"), "{detail}");
     let page = asked(&lab, 0).await;
     assert_eq!(page["verdict"]["kind"], "wrong", "{page:#}");

@@ -292,12 +292,8 @@ mod tests {
         let whole = grouping(&[("agg", "mean(fvu)")]).unwrap().sql("trials", &[], 1).unwrap();
         assert_eq!(whole, "SELECT AVG(CAST(fvu AS DOUBLE)) AS mean_fvu FROM \"trials\" LIMIT 1");
         let sorted = grouping(&[("group_by", "label"), ("sort", "-count")]).unwrap();
-        assert!(
-            sorted
-                .sql("trials", &[], 1)
-                .unwrap()
-                .contains("GROUP BY label ORDER BY count DESC NULLS LAST, label NULLS LAST")
-        );
+        let order = "GROUP BY label ORDER BY count DESC NULLS LAST, label NULLS LAST";
+        assert!(sorted.sql("trials", &[], 1).unwrap().contains(order));
     }
 
     #[test]

@@ -226,14 +226,10 @@ mod tests {
     #[test]
     fn a_wrong_header_is_named() {
         let limit = "the header may name x_mm, y, separated by commas";
-        assert_eq!(
-            problems("x_mm;y\n1;2\n"),
-            [format!("t.csv: header, column 1 = x_mm;y: {limit}")]
-        );
-        assert_eq!(
-            problems("y,y\n"),
-            ["t.csv: header, column 2 = y: a column may occur only once"]
-        );
+        let wrong = format!("t.csv: header, column 1 = x_mm;y: {limit}");
+        assert_eq!(problems("x_mm;y\n1;2\n"), [wrong]);
+        let twice = "t.csv: header, column 2 = y: a column may occur only once";
+        assert_eq!(problems("y,y\n"), [twice]);
         assert_eq!(problems("# nothing\n"), [format!("t.csv: no header: {limit}")]);
     }
 

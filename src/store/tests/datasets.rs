@@ -233,10 +233,8 @@ async fn the_newest_of_a_name_is_the_last_one_although_the_clock_was_set_back() 
     assert_eq!(store.model("net").await.unwrap().unwrap().id.as_str(), "mdl-1");
     let of_dataset = store.models_of(&datasets[1].id).await.unwrap();
     for models in [store.models().await.unwrap(), of_dataset] {
-        assert_eq!(
-            models.iter().map(|row| row.id.as_str()).collect::<Vec<_>>(),
-            ["mdl-1", "mdl-0"]
-        );
+        let ids: Vec<&str> = models.iter().map(|row| row.id.as_str()).collect();
+        assert_eq!(ids, ["mdl-1", "mdl-0"]);
     }
 }
 

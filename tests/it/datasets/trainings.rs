@@ -103,10 +103,8 @@ async fn the_same_request_resumes_from_the_checkpoint_of_a_killed_or_a_stopped_t
     let job = eventually("the job ends", LIMIT, over).await;
     assert_eq!(job["state"], "failed", "{job}");
     let words = job["error"].as_str().unwrap();
-    assert!(
-        words.starts_with("the trainer was killed by signal 9, probably out of memory"),
-        "{words}"
-    );
+    let killed = "the trainer was killed by signal 9, probably out of memory";
+    assert!(words.starts_with(killed), "{words}");
     // Another request does not resume from a checkpoint that is not its own.
     let kept = lab.data.join("jobs").join(&first).join("checkpoint.bin");
     let other = lab.asked(&recipe.replace("seed = 1", "seed = 2")).await;

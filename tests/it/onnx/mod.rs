@@ -234,10 +234,8 @@ fn frames_that_cannot_be_answered_are_named_and_nothing_is_appended() {
     let file = file_of(&network);
     let plan = Plan::load(&file, 12, &[7]).unwrap();
     let mut out = vec![1.0];
-    assert_eq!(
-        plan.answer(&[0.0; 13], &mut out),
-        Err(PlanError::Frames { numbers: 13, channels: 12 })
-    );
+    let frames = PlanError::Frames { numbers: 13, channels: 12 };
+    assert_eq!(plan.answer(&[0.0; 13], &mut out), Err(frames));
     let mut frames = vec![0.0; 10 * 12];
     frames[9 * 12 + 5] = f32::NAN;
     let hole = PlanError::NotFinite { frame: 9, channel: 5 };

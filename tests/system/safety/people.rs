@@ -90,12 +90,7 @@ async fn the_limits_of_a_run_hold_after_its_wires_were_opened_again() {
     harness.ask(Request::Connect).await.unwrap();
     harness.reset_and_home().await;
     harness.ask(Request::Resume).await.unwrap();
-    let trip = harness.tripped().await.rig.trip.unwrap();
-    assert!(
-        trip.kind == TripKind::Force && trip.detail.contains("over its limit 15 N"),
-        "{trip:?}"
-    );
-    harness.is_safe().await;
+    harness.tripped_by(TripKind::Force, "over its limit 15 N").await;
     harness.close().await;
 }
 

@@ -219,10 +219,8 @@ fn csv_reads_back_cell_by_cell() {
     let file = bytes_of(Format::Csv, &sample());
     let mut reader = csv::Reader::from_reader(file.as_slice());
     let header = reader.headers().unwrap().clone();
-    assert_eq!(
-        header.iter().skip(12).collect::<Vec<_>>(),
-        ["voltages_v_0", "voltages_v_1", "voltages_v_2"]
-    );
+    let voltages: Vec<&str> = header.iter().skip(12).collect();
+    assert_eq!(voltages, ["voltages_v_0", "voltages_v_1", "voltages_v_2"]);
     let lines: Vec<_> = reader.records().map(Result::unwrap).collect();
     let column = |name: &str| {
         let at = header.iter().position(|n| n == name).unwrap();
@@ -237,10 +235,8 @@ fn csv_reads_back_cell_by_cell() {
     let times =
         ["2026-11-18T11:06:40.123Z", "", "1970-01-01T00:00:00Z", "1969-12-31T23:59:59.999Z"];
     assert_eq!(column("started_at")[..4], times);
-    assert_eq!(
-        column("flags"),
-        [r#"["saturated","a \"quoted\", flag"]"#, "[]", "", "[\"µ\"]", "[]"]
-    );
+    let flags = [r#"["saturated","a \"quoted\", flag"]"#, "[]", "", "[\"µ\"]", "[]"];
+    assert_eq!(column("flags"), flags);
     let first: Value = serde_json::from_str(&column("contacts")[0]).unwrap();
     assert_eq!(first[0], json!({"x_mm": 0.1, "y_mm": 0.2, "force_n": 0.1, "diameter_mm": 20.0}));
     assert_eq!(first[1], json!({"x_mm": 270.0, "y_mm": 280.0, "diameter_mm": 20.0}));
@@ -318,10 +314,8 @@ fn npz_holds_an_array_for_each_column() {
         assert_eq!(array(&file, name).0, described(kind, shape), "{name}");
     }
     assert_eq!(array(&file, "contact_count").1, [2, 0, 0, 1, 1]);
-    assert_eq!(
-        f64s(&array(&file, "saturated").1),
-        [Some(1.0), None, Some(0.0), Some(1.0), Some(1.0)]
-    );
+    let saturated = [Some(1.0), None, Some(0.0), Some(1.0), Some(1.0)];
+    assert_eq!(f64s(&array(&file, "saturated").1), saturated);
     assert_eq!(texts(&array(&file, "run").1, 11)[3..], ["line\r\nbreak", "größe"]);
     assert_eq!(texts(&array(&file, "flags").1, 34)[1..4], ["[]", "", "[\"µ\"]"]);
     let times: Vec<_> = array(&file, "started_at").1;

@@ -195,9 +195,7 @@ mod tests {
         };
         assert!(of(GROUP_VALUES_MAX).is_ok());
         let refused = of(GROUP_VALUES_MAX + 1).unwrap_err()[0].to_string();
-        assert!(
-            refused.starts_with("f: values = 268435457 of a column in a row group"),
-            "{refused}"
-        );
+        let words = "f: values = 268435457 of a column in a row group";
+        assert!(refused.starts_with(words), "{refused}");
     }
 }

@@ -139,10 +139,8 @@ fn a_file_of_another_program_needs_only_facts_and_fits_or_is_refused() {
     manifest.check_file(&file).unwrap();
     let narrow = SensorFacts { channels: 3, ..sensor() };
     let said = manifest_for_foreign(&file, ModelFacts { channels: 3, ..facts() }, &narrow);
-    assert_eq!(
-        said.unwrap_err().to_string(),
-        "ONNX file: input `x` has shape [None, Some(4)], recon on this sensor has [None, Some(3)]"
-    );
+    let words = "input `x` has shape [None, Some(4)], recon on this sensor has [None, Some(3)]";
+    assert_eq!(said.unwrap_err().to_string(), format!("ONNX file: {words}"));
     let cut = manifest_for_foreign(&file[..file.len() / 2], facts(), &sensor());
     assert!(matches!(cut, Err(ModelError::Onnx(_))));
 }
