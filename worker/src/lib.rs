@@ -20,6 +20,7 @@ pub mod needs;
 pub mod options;
 pub mod order;
 pub mod pause;
+mod query_error;
 pub mod queue;
 pub mod scratch;
 pub mod setup;

@@ -1,5 +1,5 @@
 //! The queue on PostgreSQL: the tables, functions and leases of `graphile_worker`.
-//! Uses: graphile_worker, sqlx. Never: a result; a wait without a deadline; the address in an error.
+//! Uses: graphile_worker, sqlx, `query_error`. Never: a result; a wait without a deadline; the address in an error.
 //!
 //! An answer that does not come within a deadline may be lost with its connection: all connections are then
 //! replaced. Transactions are short, so that a repeated request costs one.
@@ -9,14 +9,13 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use futures::StreamExt;
-use graphile_worker::errors::GraphileWorkerError;
 use graphile_worker::sql::complete_job::complete_job;
 use graphile_worker::sql::fail_job::single::fail_job;
 use graphile_worker::sql::get_job::get_job_with_filter;
 use graphile_worker::sql::worker_heartbeat::registration::{worker_deregister, worker_heartbeat};
 use graphile_worker::worker_utils::types::CleanupTask;
 use graphile_worker::{
-    ActiveWorkerRow, Database, DbError, HookRegistry, Job, JobFlagFilter, JobSpec, RawJobSpec,
+    ActiveWorkerRow, Database, HookRegistry, Job, JobFlagFilter, JobSpec, RawJobSpec,
     SweepStaleWorkersOptions, TaskDetails, WorkerRecoveryConfig, WorkerUtils,
 };
 use parking_lot::Mutex;
@@ -25,6 +24,7 @@ use serde_json::Value;
 use sqlx::postgres::{PgConnectOptions, PgPool, PgPoolOptions};
 
 use crate::needs::Needs;
+use crate::query_error::QueryError;
 use crate::{WorkerError, WorkerResult};
 
 /// Schema of the queue's tables.
@@ -455,39 +455,4 @@ fn spec(
 fn pool(options: &PgConnectOptions, connections: u32) -> PgPool {
     let pool = PgPoolOptions::new().max_connections(connections).acquire_timeout(CONNECT);
     pool.idle_timeout(Duration::from_secs(300)).connect_lazy_with(options.clone())
-}
-
-/// What a request to the queue answered instead of a result.
-struct QueryError {
-    message: String,
-    /// Code of PostgreSQL; absent if the connection was lost.
-    code: Option<String>,
-}
-
-impl QueryError {
-    fn lost(message: String) -> Self {
-        Self { message, code: None }
-    }
-}
-
-impl From<DbError> for QueryError {
-    fn from(error: DbError) -> Self {
-        Self { message: error.to_string(), code: error.code().map(str::to_owned) }
-    }
-}
-
-impl From<GraphileWorkerError> for QueryError {
-    fn from(error: GraphileWorkerError) -> Self {
-        match error {
-            GraphileWorkerError::SqlError(error) => error.into(),
-            other => Self { message: other.to_string(), code: Some(String::new()) },
-        }
-    }
-}
-
-impl From<sqlx::Error> for QueryError {
-    fn from(error: sqlx::Error) -> Self {
-        let code = error.as_database_error().and_then(|error| error.code()).map(Into::into);
-        Self { message: error.to_string(), code }
-    }
 }
