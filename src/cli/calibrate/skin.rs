@@ -15,7 +15,7 @@ use sim_core::sensor::Sensor;
 
 use super::super::At;
 use super::super::client::Client;
-use super::super::error::{CliError, CliResult};
+use super::super::error::CliResult;
 use super::super::files::{calibration_problem, parse_calibration, write};
 use super::super::find::find_run;
 use super::super::output::{counted, note, say, say_json};
@@ -43,7 +43,7 @@ const FIT_THREADS_MAX: usize = 8;
 /// Options of `calibrate skin`.
 #[derive(Debug, Clone, Args)]
 pub struct SkinArgs {
-    /// Run of presses, or import: number, start of the id, or `last`.
+    /// Run: number, start of the id, or `last`.
     #[arg(long, value_name = "RUN")]
     run: String,
     /// Largest number of trials to fit; a quarter of that number is held out in addition.
@@ -72,12 +72,6 @@ pub struct SkinArgs {
 /// written.
 pub async fn skin(client: &Client, args: &SkinArgs) -> CliResult<()> {
     let run = find_run(client, &args.run).await?;
-    // Scored on trials that it was fitted to, a skin seems better than it is; and light weights do not determine it.
-    if run.kind == RunKind::RealRandom {
-        let limit = "is a run of placed weights, on which calibrations are evaluated: name a run of presses or an \
-                     import (palpate runs lists all)";
-        return Err(CliError::argument("RUN", &args.run, limit));
-    }
     let (sensor, earlier) = start(&run, args)?;
     let candidates = candidates(&client.showing("reading the trials"), &run, &sensor).await?;
     let least_n = if run.kind == RunKind::RealHex { run.deadband_n } else { 0.0 };
