@@ -1,5 +1,5 @@
 //! `palpate model`: lists, shows, promotes and adds models.
-//! Uses: `client`. Never: models in this process (the service stores them).
+//! Uses: `client`, `calibrate::judgement`. Never: models in this process (the service stores them).
 
 use std::fmt::Display;
 use std::path::PathBuf;
@@ -8,15 +8,17 @@ use std::time::Duration;
 use clap::{Args, Subcommand};
 use reqwest::multipart::Part;
 use serde_json::{Value, json};
+use sim_core::calibration::Calibration;
 
 use super::client::Client;
 use super::error::{CliError, CliResult};
 use super::files::{DEFAULT_SENSOR, read_input, write};
 use super::next::Next;
-use super::output::{Output, counted, say, say_json};
+use super::output::{Output, counted, note, say, say_json};
 use super::table::Table;
 use super::{At, embed};
 use crate::api::{ModelOut, PromotionRequest, RollBackRequest, ServesOut, ServingOut};
+use crate::calibrate::judgement;
 use crate::evaluate::quantities::QuantityScores;
 use crate::evaluate::request::EvaluationReport;
 use crate::ids::{CalibrationId, PromotedId};
@@ -221,12 +223,22 @@ async fn answer(client: &Client, what: What, at: &At) -> CliResult<()> {
         }
         What::AddCalibration { file } => {
             let text = read_input(&file)?;
+            let limitation = limitation(&text);
             let id: CalibrationId = client.post_text("/api/v1/calibrations", text).await?;
-            at.output().say(&json!({ "calibration": id }), &id);
+            at.output().say(&json!({ "calibration": id, "limitation": limitation }), &id);
+            if let Some(words) = limitation.filter(|_| !at.json) {
+                note(format_args!("note: {words}"));
+            }
             promotion(at, &id).say();
         }
     }
     Ok(())
+}
+
+/// What limits the answers of the skin in a calibration file, by the evidence of its fit.
+fn limitation(text: &str) -> Option<String> {
+    let skin = Calibration::from_toml(text).ok()?.skin?;
+    judgement::limitation(&skin.evidence)
 }
 
 /// The command that makes what was added serve.
