@@ -24,6 +24,16 @@ pub trait Lab: Sync {
     /// If the dataset does not exist or cannot be made.
     fn split_by(&self, dataset: &str) -> impl Future<Output = Result<String, Self::Error>> + Send;
 
+    /// Returns the numbers of contacts from 1 to 6 that trials of a dataset's part train have, ascending; of all its
+    /// trials if it has no such part. `dataset`: name or id.
+    ///
+    /// # Errors
+    /// If the dataset does not exist or cannot be made.
+    fn contact_numbers(
+        &self,
+        dataset: &str,
+    ) -> impl Future<Output = Result<Vec<u32>, Self::Error>> + Send;
+
     /// Returns what a study must know of a dataset that a person names. `dataset`: name or id.
     ///
     /// # Errors
@@ -220,6 +230,8 @@ pub mod fake {
         pub scores: bool,
         /// Facts of every dataset, instead of those of Real-Unseen.
         pub facts: Option<DatasetFacts>,
+        /// Numbers of contacts of every dataset, instead of 1 to 6.
+        pub contacts: Option<Vec<u32>>,
     }
 
     /// Facts of Real-Unseen.
@@ -289,6 +301,10 @@ pub mod fake {
 
         async fn split_by(&self, _: &str) -> StudyResult<String> {
             Ok("configuration".into())
+        }
+
+        async fn contact_numbers(&self, _: &str) -> StudyResult<Vec<u32>> {
+            Ok(self.contacts.clone().unwrap_or_else(|| (1..=6).collect()))
         }
 
         async fn facts(&self, _: &str) -> StudyResult<DatasetFacts> {
