@@ -5,7 +5,7 @@ use crate::dataset::force_map::ForceMapSpec;
 use crate::evaluate::anova::AnovaError;
 use crate::evaluate::figures::FigureError;
 use crate::evaluate::request::{EvaluationReport, EvaluationRequest};
-use crate::ids::ModelId;
+use crate::ids::{DatasetId, ModelId};
 use crate::infer::answer::Reading;
 use crate::learn::residuals::Residuals;
 use crate::learn::targets::Quantity;
@@ -16,6 +16,15 @@ use crate::store::{Contact, Label};
 pub trait Lab: Sync {
     /// Error of the lab; it also carries the errors of a study.
     type Error: From<StudyError> + Send;
+
+    /// Returns the id of the dataset of a word: its name or its id.
+    ///
+    /// # Errors
+    /// If the dataset does not exist or cannot be made.
+    fn dataset_id(
+        &self,
+        dataset: &str,
+    ) -> impl Future<Output = Result<DatasetId, Self::Error>> + Send;
 
     /// Returns the unit of a dataset's split, which is never divided: `configuration`, `trial`, or
     /// `nothing`. `dataset`: name or id.
@@ -199,6 +208,9 @@ pub enum StudyError {
     /// A net answers another quantity than the one that is compared: their errors have other units.
     #[error("{net} answers the {answers}: must answer the {wanted}")]
     OtherQuantity { net: String, answers: String, wanted: &'static str },
+    /// Two words name one dataset, which would count twice in a mean.
+    #[error("{again}: must be another dataset than {first}; both are {id}")]
+    SameDataset { first: String, again: String, id: DatasetId },
 }
 
 /// A lab for tests: it records what is requested; its reports have no scores, unless it is requested to
@@ -298,6 +310,12 @@ pub mod fake {
 
     impl Lab for FakeLab {
         type Error = StudyError;
+
+        /// The id of `pad` is `ds-pad`.
+        async fn dataset_id(&self, dataset: &str) -> StudyResult<DatasetId> {
+            let name = dataset.strip_prefix("ds-").unwrap_or(dataset);
+            Ok(DatasetId::unchecked(format!("ds-{name}")))
+        }
 
         async fn split_by(&self, _: &str) -> StudyResult<String> {
             Ok("configuration".into())

@@ -24,7 +24,7 @@ use crate::cli::{At, embed};
 use crate::dataset::import::sensor::ImportedSensor;
 use crate::digest::sha256_hex;
 use crate::evaluate::request::{EvaluationReport, EvaluationRequest};
-use crate::ids::ModelId;
+use crate::ids::{DatasetId, ModelId};
 use crate::infer::answer::Reading;
 use crate::infer::methods::Method;
 use crate::infer::registry::SENSOR_FILE;
@@ -285,6 +285,11 @@ impl ServiceLab {
 impl Lab for ServiceLab {
     type Error = CliError;
 
+    async fn dataset_id(&self, dataset: &str) -> CliResult<DatasetId> {
+        let row = self.dataset(dataset).await?;
+        Ok(DatasetId::unchecked(row["id"].as_str().unwrap_or_default()))
+    }
+
     async fn split_by(&self, dataset: &str) -> CliResult<String> {
         let row = self.dataset(dataset).await?;
         Ok(row["definition"]["split"]["by"].as_str().unwrap_or("nothing").to_owned())
@@ -444,6 +449,10 @@ impl From<StudyError> for CliError {
             StudyError::OtherQuantity { net, answers, wanted } => {
                 let limit = format!("must be a net of the {wanted}, not of the {answers}");
                 Self::argument("net", net, limit)
+            }
+            StudyError::SameDataset { first, again, id } => {
+                let limit = format!("must be another dataset than {first}; both are {id}");
+                Self::argument("dataset", again, limit)
             }
             StudyError::NoMethod { dataset } => Self::argument("dataset", dataset, NO_METHOD),
             StudyError::NoTrial { dataset, trial } => {

@@ -12,7 +12,7 @@ use serde_json::Value;
 use tokio::sync::OnceCell;
 
 use crate::datasets::filled::{copied, copy_filled, folder, new_run, press_run, store, twins_but};
-use crate::support::{PALPATE, Process, VIRTUAL_RIG, succeeded};
+use crate::support::{PALPATE, Process, VIRTUAL_RIG, done, succeeded};
 
 /// Columns of a table of scores of contacts.
 const SCORES: [&str; 10] = [
@@ -196,7 +196,8 @@ async fn every_command_trains_scores_and_writes_what_it_is_for() {
     let batches = "name = \"without\"\ntask = \"real\"\nruns = [\"made-up-hex\", \"made-up-tips\"]\n\
                    [split]\nby = \"run\"\nratio = [4, 1, 0]\n";
     fs::write(data.join("batches.toml"), batches).unwrap();
-    succeeded(&palpate(&data, &["dataset", "make", "batches.toml", "--each-run"]));
+    let made = ["dataset", "make", "batches.toml", "--each-run", "--json"];
+    let made = done(&palpate(&data, &made));
     let [hex, tips] = ["without-made-up-hex", "without-made-up-tips"];
     let table = evaluate(&data, "quantity", &all(&["count", "--dataset", hex, "--dataset", tips]));
     let of_each = table["datasets"].as_array().unwrap();
@@ -212,6 +213,11 @@ async fn every_command_trains_scores_and_writes_what_it_is_for() {
     let twice = ["evaluate", "quantity", "count", "--dataset", hex, "--dataset", hex];
     let words = String::from_utf8(palpate(&data, &twice).stderr).unwrap();
     assert!(words.contains("dataset = without-made-up-hex: must be named once"), "{words}");
+    let id = made["items"][0]["id"].as_str().unwrap();
+    let twice = ["evaluate", "quantity", "count", "--dataset", hex, "--dataset", id];
+    let words = String::from_utf8(palpate(&data, &twice).stderr).unwrap();
+    let refused = format!("dataset = {id}: must be another dataset than {hex}; both are {id}");
+    assert!(words.contains(&refused), "{words}");
 
     let table = evaluate(&data, "quantity", &all(&["force", "--by-trial"]));
     let split = (&table["dataset"], &table["split_by"]);
