@@ -177,8 +177,11 @@ impl Jobs {
             Ok(Some(result)) => TaskEnd::Done(result),
             Ok(None) => TaskEnd::Stopped,
             Err(error) => {
-                tracing::warn!(error = error_chain(&error), "a job has failed");
-                TaskEnd::Failed(error.to_string())
+                // The record of the job has the cause for those who requested it: a command that started this service
+                // would report it twice.
+                let error = error_chain(&error);
+                tracing::info!(error, "a job has failed");
+                TaskEnd::Failed(error)
             }
         }
     }

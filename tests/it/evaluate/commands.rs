@@ -325,6 +325,18 @@ async fn the_map_of_a_carried_recipe_follows_the_skin_and_that_of_a_file_does_no
 }
 
 #[tokio::test]
+async fn an_export_that_fails_is_reported_once() {
+    let data = folder("evaluate-export");
+    trials(&data).await;
+    // The number of channels is known once the dataset is made: the export itself fails.
+    let refused = palpate(&data, &["dataset", "export", "real", "--slice", "0:5000"]);
+    let said = String::from_utf8_lossy(&refused.stderr);
+    assert_eq!(refused.status.code(), Some(1), "{said}");
+    assert_eq!(said.matches("0:5000").count(), 1, "{said}");
+    assert_eq!(said.matches("must be FIRST:END within 0:784").count(), 1, "{said}");
+}
+
+#[tokio::test]
 async fn a_learning_curve_states_the_labels_of_all_rows() {
     let data = folder("evaluate-labels");
     trials(&data).await;
