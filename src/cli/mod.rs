@@ -42,6 +42,7 @@ mod infer;
 mod init;
 mod job;
 mod job_losses;
+mod job_words;
 mod journal;
 mod key;
 mod leave;

@@ -38,7 +38,7 @@ mod watch_job;
 
 pub use error::{JobError, JobResult};
 pub use training::TrainingRequest;
-pub use watch_job::{Progress, Watch};
+pub use watch_job::{Progress, Watch, warnings_of};
 
 /// Largest number of waiting jobs.
 const WAITING_JOBS_MAX: u32 = 1000;

@@ -11,7 +11,7 @@ use serde_json::{Value, json};
 use utoipa::ToSchema;
 
 use super::error::{JobError, JobResult};
-use super::kept;
+use super::kept::{self, WARNINGS};
 use super::starts::Starts;
 use super::trainer::{self, Ended};
 use super::{Jobs, Watch};
@@ -60,13 +60,15 @@ pub async fn run(jobs: &Jobs, job: &TaskRow, watch: &Arc<Watch>) -> JobResult<Op
         kept::adopt(jobs, &folder, &text).await;
     }
     write(&folder, ORDER, text.as_bytes())?;
+    earlier_warnings(&folder).into_iter().for_each(|message| watch.warn(message));
     let Some(program) = trainer::path(watch).await? else { return Ok(None) };
     if watch.is_stopped() {
         return Ok(None);
     }
     watch.phase("starting the trainer", 0);
     let starts = Starts::of(&folder);
-    let ended = trainer::run(&program, &folder, watch, |event| show(event, watch, &starts)).await;
+    let seen = |event| show(event, &folder, watch, &starts);
+    let ended = trainer::run(&program, &folder, watch, seen).await;
     if let Err(trainer::TrainerError::Ended(end)) = &ended
         && end.signal.is_some()
     {
@@ -78,7 +80,28 @@ pub async fn run(jobs: &Jobs, job: &TaskRow, watch: &Arc<Watch>) -> JobResult<Op
     watch.phase("storing the model", 0);
     let new = background(move || result(&folder, &order, recipe.name)).await??;
     let model = jobs.inner.models.add(new).await?;
-    Ok(Some(json!({ "model": model.id, "name": model.name })))
+    let mut result = json!({ "model": model.id, "name": model.name });
+    let warnings = watch.warnings();
+    if !warnings.is_empty() {
+        result["warnings"] = warnings.into();
+    }
+    Ok(Some(result))
+}
+
+/// Adds a warning of a training, and keeps it for a later start.
+fn warn(folder: &Path, watch: &Watch, message: String) {
+    tracing::info!(warning = message, "a training warns");
+    watch.warn(message);
+    let kept = json!(watch.warnings()).to_string();
+    if let Err(error) = new_file::write(folder, WARNINGS, kept) {
+        tracing::warn!(%error, "the warnings of a training are not kept");
+    }
+}
+
+/// The warnings of earlier starts of a training.
+fn earlier_warnings(folder: &Path) -> Vec<String> {
+    let kept = fs::read_to_string(folder.join(WARNINGS)).ok();
+    kept.and_then(|text| serde_json::from_str(&text).ok()).unwrap_or_default()
 }
 
 /// Resolves the names of a recipe, as at the first start of the job, and makes its dataset.
@@ -148,12 +171,12 @@ async fn prepare(
         recipe.map = recipe.map.map(|map| map.on_skin(skin_mm));
     }
     if let Some(map) = recipe.map.filter(|map| map.side_mm > 2.0 * skin_mm) {
-        tracing::warn!(
-            %map,
-            sensor = %skin.name,
-            "most of the map is beyond the skin: state the side of its square, mm, as in {}",
+        let message = format!(
+            "map = {map}: most of it is beyond the skin of the sensor {}; state the side of its square, mm, as in {}",
+            skin.name,
             map.on_skin(skin_mm)
         );
+        warn(folder, watch, message);
     }
     let order = Order {
         version: ORDER_VERSION.into(),
@@ -196,7 +219,7 @@ pub(super) fn absolute(path: &Path) -> PathBuf {
 }
 
 /// Shows an event of the trainer in the job's progress.
-fn show(event: Event, watch: &Watch, starts: &Starts) {
+fn show(event: Event, folder: &Path, watch: &Watch, starts: &Starts) {
     match event {
         Event::Phase { phase, total } => watch.phase(&phase, total),
         Event::Learned { done, total, new, elapsed_s, epoch, train_loss, validation_loss } => {
@@ -210,7 +233,7 @@ fn show(event: Event, watch: &Watch, starts: &Starts) {
             watch.done(done, new, elapsed.max(Duration::from_millis(1)));
         }
         Event::Checkpoint => starts.got_on(),
-        Event::Warning { message } => tracing::warn!(message, "the trainer warns"),
+        Event::Warning { message } => warn(folder, watch, message),
         // The process's end reports these.
         Event::Done | Event::Stopped | Event::Failed { .. } => {}
     }
@@ -257,4 +280,21 @@ fn write(folder: &Path, name: &str, bytes: &[u8]) -> Result<(), LearnError> {
 pub(super) fn code() -> String {
     let commit = crate::commit::known().unwrap_or("unknown");
     format!("palpate {} {commit}", env!("CARGO_PKG_VERSION"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_training_that_resumes_keeps_its_warnings() {
+        let folder = tempfile::tempdir().unwrap();
+        let (watch, starts) = (Watch::default(), Starts::of(folder.path()));
+        for message in ["3 of 9 channels are constant", "losses were not stored"] {
+            show(Event::Warning { message: message.into() }, folder.path(), &watch, &starts);
+        }
+        assert_eq!(watch.progress().warnings.len(), 2);
+        assert_eq!(earlier_warnings(folder.path()), watch.warnings());
+        assert!(earlier_warnings(&folder.path().join("other")).is_empty());
+    }
 }
