@@ -53,14 +53,15 @@ pub struct TrainingRequest {
 /// `JobError` if the dataset, the training or the storage of the model fails.
 pub async fn run(jobs: &Jobs, job: &TaskRow, watch: &Arc<Watch>) -> JobResult<Option<Value>> {
     let folder = jobs.folder(job.id);
+    recall_warnings(&folder, watch);
     let (recipe, order) = prepare(jobs, job, watch, &folder).await?;
     let text = serde_json::to_string(&order).map_err(JobError::Json)?;
     kept::unmark(&folder);
     if !folder.join(CHECKPOINT).exists() {
         kept::adopt(jobs, &folder, &text).await;
+        recall_warnings(&folder, watch);
     }
     write(&folder, ORDER, text.as_bytes())?;
-    earlier_warnings(&folder).into_iter().for_each(|message| watch.warn(message));
     let Some(program) = trainer::path(watch).await? else { return Ok(None) };
     if watch.is_stopped() {
         return Ok(None);
@@ -80,12 +81,12 @@ pub async fn run(jobs: &Jobs, job: &TaskRow, watch: &Arc<Watch>) -> JobResult<Op
     watch.phase("storing the model", 0);
     let new = background(move || result(&folder, &order, recipe.name)).await??;
     let model = jobs.inner.models.add(new).await?;
-    let mut result = json!({ "model": model.id, "name": model.name });
+    let mut made = json!({ "model": model.id, "name": model.name });
     let warnings = watch.warnings();
     if !warnings.is_empty() {
-        result["warnings"] = warnings.into();
+        made["warnings"] = warnings.into();
     }
-    Ok(Some(result))
+    Ok(Some(made))
 }
 
 /// Adds a warning of a training, and keeps it for a later start.
@@ -98,10 +99,11 @@ fn warn(folder: &Path, watch: &Watch, message: String) {
     }
 }
 
-/// The warnings of earlier starts of a training.
-fn earlier_warnings(folder: &Path) -> Vec<String> {
+/// Adds the warnings of earlier starts of a training.
+fn recall_warnings(folder: &Path, watch: &Watch) {
     let kept = fs::read_to_string(folder.join(WARNINGS)).ok();
-    kept.and_then(|text| serde_json::from_str(&text).ok()).unwrap_or_default()
+    let warnings: Option<Vec<String>> = kept.and_then(|text| serde_json::from_str(&text).ok());
+    warnings.into_iter().flatten().for_each(|message| watch.warn(message));
 }
 
 /// Resolves the names of a recipe, as at the first start of the job, and makes its dataset.
@@ -289,12 +291,16 @@ mod tests {
     #[test]
     fn a_training_that_resumes_keeps_its_warnings() {
         let folder = tempfile::tempdir().unwrap();
-        let (watch, starts) = (Watch::default(), Starts::of(folder.path()));
-        for message in ["3 of 9 channels are constant", "losses were not stored"] {
+        let starts = Starts::of(folder.path());
+        let begin = |message: &str| {
+            let watch = Watch::default();
+            recall_warnings(folder.path(), &watch);
             show(Event::Warning { message: message.into() }, folder.path(), &watch, &starts);
-        }
-        assert_eq!(watch.progress().warnings.len(), 2);
-        assert_eq!(earlier_warnings(folder.path()), watch.warnings());
-        assert!(earlier_warnings(&folder.path().join("other")).is_empty());
+            watch.progress().warnings
+        };
+        let [map, constant] = ["the map is large", "3 of 9 channels are constant"];
+        assert_eq!(begin(map), [map]);
+        assert_eq!(begin(constant), [map, constant]);
+        assert_eq!(begin(map), [map, constant]);
     }
 }
