@@ -1,5 +1,5 @@
 //! `palpate job`: waiting, running and ended trainings and evaluations; and the progress of one on the terminal.
-//! Uses: `client`. Never: nets (a process of the service trains).
+//! Uses: `client`, `job_words`. Never: nets (a process of the service trains).
 
 use std::path::PathBuf;
 use std::time::Duration;
