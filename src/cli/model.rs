@@ -141,7 +141,7 @@ async fn answer(client: &Client, what: What, at: &At) -> CliResult<()> {
         What::Show { model } => {
             let model: ModelOut = client.get(&format!("/api/v1/models/{model}")).await?;
             let manifest = toml::to_string_pretty(&model.manifest).unwrap_or_default();
-            let words = format!("{}\n{}", line(&model), manifest.trim_end());
+            let words = format!("{}{}\n{}", line(&model), warned(&model), manifest.trim_end());
             at.output().say_whole(&model, words);
         }
         What::Promote { what, why } => {
@@ -281,13 +281,19 @@ fn cells(model: &ModelOut) -> [String; 6] {
     ]
 }
 
+/// The warnings of a model's training, each on a further line.
+fn warned(model: &ModelOut) -> String {
+    model.warnings.iter().map(|warning| format!("\nwarning: {warning}")).collect()
+}
+
 /// A model and its last score, on one line.
 fn line(model: &ModelOut) -> String {
     let cells = cells(model).into_iter().filter(|cell| !cell.is_empty());
     cells.collect::<Vec<_>>().join("  ")
 }
 
-fn score(report: &EvaluationReport) -> String {
+/// The most important scores of an evaluation, on one line.
+pub fn score(report: &EvaluationReport) -> String {
     let rows_of = |rows: u64| counted(rows, "row", "rows");
     let rows = rows_of(report.rows);
     if let Some(voltages) = &report.voltages {
@@ -350,8 +356,10 @@ mod tests {
             created_at: jiff::Timestamp::UNIX_EPOCH,
             serves: false,
             scores: Vec::new(),
+            warnings: vec!["3 of 9 channels are constant".into()],
         };
         assert_eq!(line(&model), "mdl-1  mlp-force  force  virtual  not scored");
+        assert_eq!(warned(&model), "\nwarning: 3 of 9 channels are constant");
     }
 
     #[test]

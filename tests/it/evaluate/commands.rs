@@ -319,17 +319,41 @@ async fn fig_12_is_made_of_imported_trials_of_another_skin() {
 async fn the_map_of_a_carried_recipe_follows_the_skin_and_that_of_a_file_does_not() {
     let data = folder("evaluate-scaled");
     pad(&data).await;
-    let trained = |recipe: &str| -> String {
-        let printed = succeeded(&palpate(&data, &["train", recipe, "--dataset", "pad", "--json"]));
-        let last: Value = serde_json::from_str(printed.lines().last().unwrap()).unwrap();
-        last["model"]["manifest"]["recipe"].as_str().unwrap().to_owned()
+    let warned = "map = 4x20: most of it is beyond the skin of the sensor ";
+    let warns = |text: &str| text.matches(warned).count();
+    let trained = |recipe: &str| -> (String, usize) {
+        let output = palpate(&data, &["train", recipe, "--dataset", "pad", "--json"]);
+        let last: Value = done(&output);
+        let recipe = last["model"]["manifest"]["recipe"].as_str().unwrap().to_owned();
+        (recipe, warns(&String::from_utf8_lossy(&output.stderr)))
     };
-    let recipe = trained("end-to-end-ridge");
+    let (recipe, warnings) = trained("end-to-end-ridge");
     assert!(recipe.contains("map = \"0.72x3.6x115.2\""), "{recipe}");
+    assert_eq!(warnings, 0);
     let carried = succeeded(&palpate(&data, &["train", "end-to-end-ridge", "--show"]));
     fs::write(data.join("mine.toml"), carried.replace("\"end-to-end-ridge\"", "\"mine\"")).unwrap();
-    let recipe = trained("mine.toml");
+    let (recipe, warnings) = trained("mine.toml");
     assert!(recipe.contains("map = \"4x20\""), "{recipe}");
+    // The command that trains states the warning, and so do the job and the model later.
+    assert_eq!(warnings, 1);
+    for what in [["job", "show", "last"], ["model", "show", "mine"]] {
+        let shown = succeeded(&palpate(&data, &what));
+        assert_eq!(warns(&shown), 1, "{shown}");
+    }
+    let job = done(&palpate(&data, &["job", "show", "last", "--json"]));
+    assert_eq!(job["result"]["name"], "mine", "{job:#}");
+}
+
+#[tokio::test]
+async fn an_export_that_fails_is_reported_once() {
+    let data = folder("evaluate-export");
+    trials(&data).await;
+    // The number of channels is known once the dataset is made: the export itself fails.
+    let refused = palpate(&data, &["dataset", "export", "real", "--slice", "0:5000"]);
+    let said = String::from_utf8_lossy(&refused.stderr);
+    assert_eq!(refused.status.code(), Some(1), "{said}");
+    assert_eq!(said.matches("0:5000").count(), 1, "{said}");
+    assert_eq!(said.matches("must be FIRST:END within 0:784").count(), 1, "{said}");
 }
 
 #[tokio::test]
