@@ -36,7 +36,7 @@ enum Command {
     /// Run a virtual rig behind real wires.
     VirtualRig(VirtualRigArgs),
     /// Run the virtual operator, which mounts tips and places weights on a virtual rig.
-    VirtualOperator(OperatorArgs),
+    VirtualOperator(VirtualOperatorArgs),
     /// Print the completions of a shell.
     ///
     /// For bash: palpate completions bash > ~/.local/share/bash-completion/completions/palpate
@@ -73,6 +73,16 @@ struct VirtualRigArgs {
     data: Option<PathBuf>,
 }
 
+/// A virtual operator that a person starts.
+#[derive(Debug, Args)]
+struct VirtualOperatorArgs {
+    /// Sensor file, or the name of a carried one: its points are those of mistakes.
+    #[arg(long, value_name = "FILE")]
+    sensor: Option<PathBuf>,
+    #[command(flatten)]
+    options: OperatorArgs,
+}
+
 fn main() -> ExitCode {
     palpate::commit::set(option_env!("PALPATE_COMMIT"));
     let (CommandLine { command, log }, output) = match parsed() {
@@ -83,7 +93,10 @@ fn main() -> ExitCode {
     let _log = cli::log::start(&log);
     match command {
         Command::Service(command) => cli::main(command, output),
-        Command::VirtualOperator(args) => ended(operator_main(args)),
+        Command::VirtualOperator(args) => match cli::named_sensor(args.sensor.as_deref()) {
+            Ok(sensor) => ended(operator_main(args.options, sensor.as_ref())),
+            Err(error) => refused(&error),
+        },
         Command::Completions { shell } => {
             let mut text = Vec::new();
             clap_complete::generate(shell, &mut CommandLine::command(), "palpate", &mut text);
@@ -94,12 +107,15 @@ fn main() -> ExitCode {
         Command::Man { folder } => ended(write_manual(&folder)),
         Command::VirtualRig(args) => match args.complete() {
             Ok(args) => ended_rig(rig_main(args)),
-            Err(error) => {
-                cli::report(&error, cli::Output::Text);
-                error.exit_code()
-            }
+            Err(error) => refused(&error),
         },
     }
+}
+
+/// Reports why a command of the virtual rig does not start.
+fn refused(error: &cli::CliError) -> ExitCode {
+    cli::report(error, cli::Output::Text);
+    error.exit_code()
 }
 
 fn write_manual(folder: &Path) -> Result<(), cli::CliError> {
@@ -455,6 +471,7 @@ mod tests {
             "palpate rig jog z -3.5 --url http://127.0.0.1:9",
             "palpate run e.toml --virtual --speed 50 --json -y",
             "palpate virtual-operator --control c --url u --speed 3",
+            "palpate virtual-operator --control c --mistakes 0.2 --sensor ert-28",
             "palpate virtual-rig --speed 20",
             "palpate pause --now --why lunch",
         ] {

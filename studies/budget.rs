@@ -129,32 +129,20 @@ impl Budget {
         TABLE_IV_MAPS.into_iter().filter(is_trained).collect()
     }
 
-    /// Training of a Transfer-Net of the budget's recipe, on rows of a dataset.
-    pub fn transfer(&self, stem: &str, dataset: &str, conditions: &[String]) -> Training {
-        self.transfer_by(&self.transfer, stem, dataset, conditions)
+    /// Training of the Transfer-Net of the paper's pipeline, on all numbers of contacts of [`R2S`]: the last net of
+    /// Table III. `contacts`: these numbers ([`crate::lab::Lab::contact_numbers`]).
+    pub fn transfer_to_all(&self, contacts: &[u32]) -> Training {
+        self.transfer_by(&self.transfer, "transfer", R2S, most(contacts))
     }
 
-    /// Training of the Transfer-Net of the paper's pipeline, on all numbers of contacts.
-    pub fn transfer_to_6(&self) -> Training {
-        self.transfer("transfer-to-6", R2S, &[up_to(6)])
-    }
-
-    /// Training of a Transfer-Net of a recipe, on rows of a dataset.
-    ///
-    /// `conditions`: those that a row must meet, each `COLUMN__lte=VALUE`.
-    pub fn transfer_by(
-        &self,
-        recipe: &str,
-        stem: &str,
-        dataset: &str,
-        conditions: &[String],
-    ) -> Training {
+    /// Training of a Transfer-Net of a recipe, on the rows of a dataset with at most `most` contacts.
+    pub fn transfer_by(&self, recipe: &str, stem: &str, dataset: &str, most: u32) -> Training {
         let (epochs, rows) = self.scale.transfer();
         Training {
             recipe: recipe.into(),
-            stem: format!("{stem}-{}", self.scale.name()),
+            stem: format!("{stem}-to-{most}-{}", self.scale.name()),
             dataset: Some(self.dataset(dataset)),
-            conditions: conditions.to_vec(),
+            conditions: vec![up_to(most)],
             epochs: Some(self.epochs.unwrap_or(epochs)),
             rows: self.rows.or(rows),
             seed: self.seed,
@@ -242,6 +230,11 @@ pub fn up_to(contacts: u32) -> String {
     format!("contact_count__lte={contacts}")
 }
 
+/// Largest of these numbers of contacts; 1 without any.
+pub fn most(contacts: &[u32]) -> u32 {
+    contacts.iter().copied().max().unwrap_or(1)
+}
+
 /// The small scale without changes.
 #[cfg(test)]
 pub fn small() -> Budget {
@@ -264,7 +257,9 @@ mod tests {
         let noise = Noise::at(0.1, &ModelId::unchecked("mdl-1"));
         assert_eq!(small().map_net(RECON_NET, map, noise).stem, "recon-net-10x20-10-small");
         assert_eq!(small().map_net(END_TO_END, map, None).stem, "end-to-end-10x20-0-small");
-        assert_eq!(small().transfer_to_6().stem, "transfer-to-6-small");
+        let transfer = small().transfer_to_all(&[1, 2, 4]);
+        assert_eq!(transfer.stem, "transfer-to-4-small");
+        assert_eq!(transfer.conditions, ["contact_count__lte=4"]);
         assert_eq!(Noise::at(0.0, &ModelId::unchecked("mdl-1")), None);
     }
 
@@ -277,7 +272,7 @@ mod tests {
         assert_eq!(of_map(&by_trial, END_TO_END).as_deref(), Some("real-by-trial"));
         assert_eq!(of_map(&by_trial, "end-to-end-ridge").as_deref(), Some("real-by-trial"));
         assert_eq!(of_map(&small(), RECON_NET), None);
-        let transfer = by_trial.transfer_to_6().dataset;
+        let transfer = by_trial.transfer_to_all(&[6]).dataset;
         assert_eq!(transfer.as_deref(), Some("r2s-transfer-by-trial"));
         for name in ["real-unseen", "pad", "real-by-trial"] {
             assert_eq!(by_trial.request(Method::Exact, name, None).dataset, name);
@@ -288,7 +283,7 @@ mod tests {
     #[test]
     fn a_change_replaces_the_value_of_the_scale() {
         let changed = Budget { epochs: Some(3), rows: Some(50), scored: Some(7), ..small() };
-        let training = changed.transfer_to_6();
+        let training = changed.transfer_to_all(&[6]);
         assert_eq!((training.epochs, training.rows), (Some(3), Some(50)));
         assert_eq!(changed.request(Method::Exact, "real", None).limit, Some(7));
         assert_eq!(small().request(Method::Exact, "real", None).limit, Some(2_000));

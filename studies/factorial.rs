@@ -6,7 +6,7 @@ use std::collections::BTreeMap;
 
 use serde_json::json;
 
-use crate::budget::{Budget, REAL, RECON_NET};
+use crate::budget::{Budget, R2S, REAL, RECON_NET};
 use crate::dataset::force_map::{ForceMapSpec, SIDE_MM};
 use crate::evaluate::anova::{Anova, Factor, Factorial, MarginalMean, Moments};
 use crate::evaluate::charts::{Bar, bars};
@@ -66,7 +66,8 @@ impl Condition {
 pub async fn fig_11<L: Lab>(lab: &L, budget: &Budget) -> Result<Sheet, L::Error> {
     // A budget with one pixel is refused before nets are trained.
     design(budget)?;
-    let transfer = lab.train(&budget.transfer_to_6()).await?;
+    let contacts = lab.contact_numbers(&budget.dataset(R2S)).await?;
+    let transfer = lab.train(&budget.transfer_to_all(&contacts)).await?;
     let mut conditions = Vec::new();
     for (p, pixel_mm) in budget.pixels_mm().into_iter().enumerate() {
         for (d, diameter_mm) in DIAMETERS_MM.into_iter().enumerate() {

@@ -5,7 +5,7 @@ use crate::dataset::force_map::ForceMapSpec;
 use crate::evaluate::anova::AnovaError;
 use crate::evaluate::figures::FigureError;
 use crate::evaluate::request::{EvaluationReport, EvaluationRequest};
-use crate::ids::ModelId;
+use crate::ids::{DatasetId, ModelId};
 use crate::infer::answer::Reading;
 use crate::learn::residuals::Residuals;
 use crate::learn::targets::Quantity;
@@ -17,12 +17,31 @@ pub trait Lab: Sync {
     /// Error of the lab; it also carries the errors of a study.
     type Error: From<StudyError> + Send;
 
+    /// Returns the id of the dataset of a word: its name or its id.
+    ///
+    /// # Errors
+    /// If the dataset does not exist or cannot be made.
+    fn dataset_id(
+        &self,
+        dataset: &str,
+    ) -> impl Future<Output = Result<DatasetId, Self::Error>> + Send;
+
     /// Returns the unit of a dataset's split, which is never divided: `configuration`, `trial`, or
     /// `nothing`. `dataset`: name or id.
     ///
     /// # Errors
     /// If the dataset does not exist or cannot be made.
     fn split_by(&self, dataset: &str) -> impl Future<Output = Result<String, Self::Error>> + Send;
+
+    /// Returns the numbers of contacts from 1 to 6 that trials of a dataset's part train have, ascending; of all its
+    /// trials if it has no such part. `dataset`: name or id.
+    ///
+    /// # Errors
+    /// If the dataset does not exist or cannot be made.
+    fn contact_numbers(
+        &self,
+        dataset: &str,
+    ) -> impl Future<Output = Result<Vec<u32>, Self::Error>> + Send;
 
     /// Returns what a study must know of a dataset that a person names. `dataset`: name or id.
     ///
@@ -189,6 +208,9 @@ pub enum StudyError {
     /// A net answers another quantity than the one that is compared: their errors have other units.
     #[error("{net} answers the {answers}: must answer the {wanted}")]
     OtherQuantity { net: String, answers: String, wanted: &'static str },
+    /// Two words name one dataset, which would count twice in a mean.
+    #[error("{again}: must be another dataset than {first}; both are {id}")]
+    SameDataset { first: String, again: String, id: DatasetId },
 }
 
 /// A lab for tests: it records what is requested; its reports have no scores, unless it is requested to
@@ -220,6 +242,8 @@ pub mod fake {
         pub scores: bool,
         /// Facts of every dataset, instead of those of Real-Unseen.
         pub facts: Option<DatasetFacts>,
+        /// Numbers of contacts of every dataset, instead of 1 to 6.
+        pub contacts: Option<Vec<u32>>,
     }
 
     /// Facts of Real-Unseen.
@@ -287,8 +311,18 @@ pub mod fake {
     impl Lab for FakeLab {
         type Error = StudyError;
 
+        /// The id of `pad` is `ds-pad`.
+        async fn dataset_id(&self, dataset: &str) -> StudyResult<DatasetId> {
+            let name = dataset.strip_prefix("ds-").unwrap_or(dataset);
+            Ok(DatasetId::unchecked(format!("ds-{name}")))
+        }
+
         async fn split_by(&self, _: &str) -> StudyResult<String> {
             Ok("configuration".into())
+        }
+
+        async fn contact_numbers(&self, _: &str) -> StudyResult<Vec<u32>> {
+            Ok(self.contacts.clone().unwrap_or_else(|| (1..=6).collect()))
         }
 
         async fn facts(&self, _: &str) -> StudyResult<DatasetFacts> {

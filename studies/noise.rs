@@ -30,7 +30,8 @@ const SHOWN_TRIAL: [&str; 3] = ["contact_count__eq=3", "split__eq=test", "max_fo
 ///
 /// Source: paper, V-C1 and Fig. 10.
 pub async fn fig_10<L: Lab>(lab: &L, budget: &Budget) -> Result<Sheet, L::Error> {
-    let transfer = lab.train(&budget.transfer_to_6()).await?;
+    let contacts = lab.contact_numbers(&budget.dataset(R2S)).await?;
+    let transfer = lab.train(&budget.transfer_to_all(&contacts)).await?;
     let left = lab.residuals(&transfer).await?;
     let Trial { frame_v, contacts: truth, label } = triple(lab, &budget.dataset(R2S)).await?;
     let pixel_mm = budget.pixels_mm()[0];

@@ -3,7 +3,7 @@
 
 use serde_json::json;
 
-use crate::budget::{Budget, R2S, REGRESSIONS, up_to};
+use crate::budget::{Budget, R2S, REGRESSIONS, most, up_to};
 use crate::evaluate::charts::{Line, Panel, panels};
 use crate::evaluate::published::{Rung, TABLE_III, Transfer};
 use crate::evaluate::request::{EvaluationReport, EvaluationRequest, Scored};
@@ -17,28 +17,35 @@ use crate::sheet::{OutputFile, Sheet};
 /// Columns: RMSE (V) / FVU (%) on the rows of the training, then on test trials of 1 to 6 contacts.
 const HEAD: [&str; 8] = ["trained on", "train", "I", "II", "III", "IV", "V", "VI"];
 
-/// The nets on 1, 1 to 2, .. 1 to 6 contacts of a dataset, in the order of the table, then the regressions on the rows
-/// of the last; scored on the parts test and train.
-pub fn table_iii_nets(budget: &Budget, dataset: &str) -> Vec<TableNet> {
+/// The nets on 1, 1 to 2, .. contacts of a dataset, one for each number of contacts that occurs, in the order of the
+/// table; then the regressions on the rows of the last; scored on the parts test and train.
+///
+/// `contacts`: the numbers of contacts of the dataset's part train ([`Lab::contact_numbers`]).
+pub fn table_iii_nets(budget: &Budget, dataset: &str, contacts: &[u32]) -> Vec<TableNet> {
     let of = |recipe: &str, stem: &str, most: u32| {
+        let training = budget.transfer_by(recipe, stem, dataset, most);
         let conditions = vec![up_to(most)];
-        let training =
-            budget.transfer_by(recipe, &format!("{stem}-to-{most}"), dataset, &conditions);
         let test = budget.request(Scored::Voltages, dataset, Some("test"));
         let train = EvaluationRequest { part: Some("train".into()), conditions, ..test.clone() };
         TableNet { training, scores: vec![test, train] }
     };
-    let nets = TABLE_III.iter().map(|rung| of(&budget.transfer, "transfer", rung.trained_to));
-    let most = TABLE_III[TABLE_III.len() - 1].trained_to;
+    let nets = trained_to(contacts).into_iter().map(|to| of(&budget.transfer, "transfer", to));
     let regressions = REGRESSIONS.map(|(ending, _)| {
         let recipe = format!("transfer-{ending}");
-        of(&recipe, &recipe, most)
+        of(&recipe, &recipe, most(contacts))
     });
     nets.chain(regressions).collect()
 }
 
-/// Trains Transfer-Nets on 1, 1 to 2, .. 1 to 6 contacts, and compares their voltages with
-/// simulated ones for each number of contacts; also the measured voltages without a net.
+/// The largest numbers of contacts of the nets that are trained, ascending: those that occur, at least 1. A net up to
+/// another number would learn the rows of the net before it.
+fn trained_to(contacts: &[u32]) -> Vec<u32> {
+    let occurs = |to: &u32| contacts.contains(to) || (contacts.is_empty() && *to == 1);
+    TABLE_III.iter().map(|rung| rung.trained_to).filter(occurs).collect()
+}
+
+/// Trains Transfer-Nets on 1, 1 to 2, .. contacts, up to each number of contacts of the dataset's part train, and
+/// compares their voltages with simulated ones for each number of contacts; also the measured voltages without a net.
 ///
 /// # Errors
 /// Error of the lab if a training or an evaluation fails; `StudyError::Figure` if the figure cannot
@@ -54,35 +61,41 @@ pub async fn table_iii<L: Lab>(lab: &L, budget: &Budget, dataset: &str) -> Resul
     if let Some(scores) = &plain.voltages {
         rows.push(row("no net", None, scores));
     }
-    let mut nets = table_iii_nets(budget, dataset);
-    let regressions = nets.split_off(TABLE_III.len());
-    let mut last = None;
-    for (published, net) in TABLE_III.iter().zip(nets) {
-        let most = published.trained_to;
-        let (model, [test, train]) = scored(lab, &net).await?;
-        if let (Some(test), Some(train)) = (&test, &train) {
-            rows.push(row(&format!("1 to {most}"), Some(train), test));
-            curves.push(panel(published, test, plain.voltages.as_ref()));
+    let contacts = lab.contact_numbers(dataset).await?;
+    let (trained, most) = (trained_to(&contacts), most(&contacts));
+    let mut nets = table_iii_nets(budget, dataset, &contacts);
+    let regressions = nets.split_off(trained.len());
+    let (mut nets, mut last, mut not_trained) = (nets.into_iter(), None, Vec::new());
+    for published in &TABLE_III {
+        let to = published.trained_to;
+        if trained.contains(&to)
+            && let Some(net) = nets.next()
+        {
+            let (model, [test, train]) = scored(lab, &net).await?;
+            if let (Some(test), Some(train)) = (&test, &train) {
+                rows.push(row(&format!("1 to {to}"), Some(train), test));
+                curves.push(panel(published, test, plain.voltages.as_ref()));
+            }
+            numbers.push(json!({ "trained_to": to, "model": model, "test": test, "train": train }));
+            last = test;
+        } else {
+            not_trained.push(to);
         }
-        let cell = |cell: &Transfer| format!("{} / {}", cell.rmse_v, cell.fvu_percent);
-        let mut paper = vec![format!("  paper, 1 to {most}"), cell(&published.train)];
-        paper.extend(published.test.iter().map(cell));
-        rows.push(paper);
-        numbers.push(json!({ "trained_to": most, "model": model, "test": test, "train": train }));
-        last = test;
+        rows.push(paper_row(published));
     }
     let (mut verdicts, mut compared) = (String::new(), Vec::new());
     for ((_, name), net) in REGRESSIONS.into_iter().zip(regressions) {
         let (model, [test, train]) = scored(lab, &net).await?;
         if let (Some(test), Some(train)) = (&test, &train) {
-            rows.push(row(&format!("{name}, 1 to 6"), Some(train), test));
-            verdicts += &last.as_ref().map_or(String::new(), |net| verdict(net, name, test));
+            rows.push(row(&format!("{name}, 1 to {most}"), Some(train), test));
+            verdicts += &last.as_ref().map_or(String::new(), |net| verdict(net, name, test, most));
         }
         compared.push(json!({ "name": name, "model": model, "test": test, "train": train }));
     }
     let text = format!(
-        "# Table III: mean RMSE (V) / mean FVU (%) by the number of contacts\n\n{}\n{verdicts}{}\n",
+        "# Table III: mean RMSE (V) / mean FVU (%) by the number of contacts\n\n{}\n{}{verdicts}{}\n",
         markdown(&HEAD, &rows),
+        note(&not_trained),
         budget.caption(&format!("{}, {dataset}, split by {split_by}", plain.label.as_str()))
     );
     // Each split has its table: by configuration, and by trial as in the paper.
@@ -92,7 +105,8 @@ pub async fn table_iii<L: Lab>(lab: &L, budget: &Budget, dataset: &str) -> Resul
             .map_err(StudyError::from)?;
     let numbers = json!({ "table": "III", "scale": budget.scale.name(), "label": plain.label,
         "dataset": plain.dataset, "no_net": plain.voltages, "rungs": numbers,
-        "regressions": compared, "verdicts": verdicts.lines().collect::<Vec<_>>() });
+        "not_trained_to": not_trained, "regressions": compared,
+        "verdicts": verdicts.lines().collect::<Vec<_>>() });
     let figures = vec![OutputFile::new(format!("{name}.svg"), figure)];
     Ok(Sheet::new(&name, text, numbers, figures))
 }
@@ -108,11 +122,29 @@ async fn scored<L: Lab>(
     Ok((model, [test, train]))
 }
 
-/// States whether the last net beats a regression on all test trials.
-fn verdict(net: &VoltageScores, name: &str, regression: &VoltageScores) -> String {
+/// States whether the last net, on 1 to `most` contacts, beats a regression on all test trials.
+fn verdict(net: &VoltageScores, name: &str, regression: &VoltageScores, most: u32) -> String {
     let [net, other] = [net, regression].map(|scores| 100.0 * scores.all.fvu);
     let words = if net < other { "beats" } else { "does NOT beat" };
-    format!("The Transfer-Net of 1 to 6 contacts {words} {name}: FVU {net:.1} and {other:.1} %.\n")
+    let on = contacts_up_to(most);
+    format!("The Transfer-Net of {on} {words} {name}: FVU {net:.1} and {other:.1} %.\n")
+}
+
+/// States which nets of the table are not trained, by their largest numbers of contacts; empty without any.
+fn note(not_trained: &[u32]) -> String {
+    if not_trained.is_empty() {
+        return String::new();
+    }
+    let numbers: Vec<String> = not_trained.iter().map(u32::to_string).collect();
+    format!(
+        "No trial of the part train has one of these numbers of contacts: {}. The nets up to them are not trained; \
+         their rows contain only the paper's values.\n",
+        numbers.join(", ")
+    )
+}
+
+fn contacts_up_to(most: u32) -> String {
+    if most == 1 { "1 contact".into() } else { format!("1 to {most} contacts") }
 }
 
 fn heading(budget: &Budget, plain: &EvaluationReport) -> Heading {
@@ -135,17 +167,22 @@ fn panel(published: &Rung, test: &VoltageScores, plain: Option<&VoltageScores>) 
     let line = |name: &str, places: Vec<(f64, f64)>| Line { name: name.into(), places };
     let paper =
         published.test.iter().zip(1..).map(|(cell, count)| (f64::from(count), cell.fvu_percent));
-    let most = published.trained_to;
-    let trained = if most == 1 { "1 contact".into() } else { format!("1 to {most} contacts") };
     Panel {
-        name: format!("trained on {trained}"),
-        known_to: f64::from(most),
+        name: format!("trained on {}", contacts_up_to(published.trained_to)),
+        known_to: f64::from(published.trained_to),
         lines: vec![
             line("this training", of(test)),
             line("paper (measured)", paper.collect()),
             line("no net", plain.map(of).unwrap_or_default()),
         ],
     }
+}
+
+/// The paper's row under [`HEAD`].
+fn paper_row(published: &Rung) -> Vec<String> {
+    let cell = |cell: &Transfer| format!("{} / {}", cell.rmse_v, cell.fvu_percent);
+    let name = format!("  paper, 1 to {}", published.trained_to);
+    [name, cell(&published.train)].into_iter().chain(published.test.iter().map(cell)).collect()
 }
 
 /// A row under [`HEAD`]; a dash where there are no trials.
@@ -194,10 +231,10 @@ mod tests {
     #[test]
     fn a_net_that_does_not_beat_a_regression_says_so() {
         let of = |fvu| VoltageScores::of(&[(1, 0.01, Some(fvu)), (2, 0.01, Some(fvu))]).unwrap();
-        let text = verdict(&of(0.1), "ridge", &of(0.2));
-        assert!(text.contains("beats ridge: FVU 10.0 and 20.0 %"), "{text}");
-        let text = verdict(&of(0.2), "kernel ridge", &of(0.2));
-        assert!(text.contains("does NOT beat kernel ridge"), "{text}");
+        let text = verdict(&of(0.1), "ridge", &of(0.2), 1);
+        assert!(text.contains("of 1 contact beats ridge: FVU 10.0 and 20.0 %"), "{text}");
+        let text = verdict(&of(0.2), "kernel ridge", &of(0.2), 6);
+        assert!(text.contains("of 1 to 6 contacts does NOT beat kernel ridge"), "{text}");
         let lab = FakeLab { scores: true, ..FakeLab::default() };
         let sheet = result(table_iii(&lab, &small(), R2S)).unwrap();
         let text = &sheet.text;
@@ -208,5 +245,45 @@ mod tests {
         let verdicts = sheet.numbers["verdicts"].as_array().unwrap();
         let in_text = |line: &serde_json::Value| text.contains(line.as_str().unwrap());
         assert!(verdicts.len() == 2 && verdicts.iter().all(in_text), "{verdicts:?}");
+    }
+
+    #[test]
+    fn no_net_is_trained_up_to_a_number_of_contacts_that_no_trial_has() {
+        let contacts = Some(vec![1, 2, 4]);
+        let lab = FakeLab { scores: true, contacts, ..FakeLab::default() };
+        let sheet = result(table_iii(&lab, &small(), R2S)).unwrap();
+        let trained = lab.trained.lock().unwrap();
+        let stems: Vec<&str> = trained.iter().map(|t| t.stem.as_str()).collect();
+        let wanted = [
+            "transfer-to-1-small",
+            "transfer-to-2-small",
+            "transfer-to-4-small",
+            "transfer-ridge-to-4-small",
+            "transfer-kernel-ridge-to-4-small",
+        ];
+        assert_eq!(stems, wanted);
+        assert!(trained[2..].iter().all(|t| t.conditions == [up_to(4)]), "{trained:?}");
+        // Measured voltages, and each net on two parts.
+        assert_eq!(lab.scored.lock().unwrap().len(), 1 + 2 * 5);
+        let text = &sheet.text;
+        for words in [
+            "| 1 to 4 ",
+            "|   paper, 1 to 3 ",
+            "|   paper, 1 to 6 ",
+            "| kernel ridge, 1 to 4 |",
+            "of these numbers of contacts: 3, 5, 6. The nets up to them are not trained",
+            "The Transfer-Net of 1 to 4 contacts does NOT beat ridge",
+        ] {
+            assert!(text.contains(words), "{words}: {text}");
+        }
+        assert!(!text.contains("| 1 to 3 ") && !text.contains("ridge, 1 to 6"), "{text}");
+        assert_eq!(sheet.numbers["rungs"].as_array().unwrap().len(), 3);
+        assert_eq!(sheet.numbers["not_trained_to"], json!([3, 5, 6]));
+        // One net at least, and no note if all are trained.
+        let lab = FakeLab { contacts: Some(Vec::new()), ..FakeLab::default() };
+        result(table_iii(&lab, &small(), R2S)).unwrap();
+        assert_eq!(lab.trained.lock().unwrap().len(), 1 + 2);
+        let sheet = result(table_iii(&FakeLab::default(), &small(), R2S)).unwrap();
+        assert!(!sheet.text.contains("not trained"), "{}", sheet.text);
     }
 }

@@ -129,7 +129,8 @@ pub async fn list(client: &Client, at: &At) -> CliResult<()> {
     let mut table = Table::new(
         "export | state | dataset | format | size> | requested | last used | by |",
         "there are no exports: palpate dataset export NAME",
-    );
+    )
+    .whole();
     for export in &exports {
         table.push([
             export.id.to_string(),

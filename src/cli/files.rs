@@ -266,6 +266,15 @@ pub fn read_sensor(path: Option<&Path>) -> CliResult<(Sensor, String)> {
     Ok((parse_sensor(&file, &text)?, text))
 }
 
+/// Returns the sensor of a file, or of the carried one of that name; `None` without a name.
+///
+/// # Errors
+/// `CliError::Problems` if the file cannot be read or is invalid.
+pub fn named_sensor(named: Option<&Path>) -> CliResult<Option<Sensor>> {
+    let read = |path| read_sensor(Some(path)).map(|(sensor, _)| sensor);
+    named.map(read).transpose()
+}
+
 fn parse_sensor(file: &str, text: &str) -> CliResult<Sensor> {
     Sensor::from_toml(text).map_err(|error| {
         let problems = match error {
@@ -343,6 +352,9 @@ mod tests {
     fn a_sensor_is_named_as_its_default() {
         let named = |name: &str| read_sensor(Some(Path::new(name))).map(|(_, text)| text);
         assert_eq!(named("ert-28").unwrap(), DEFAULT_SENSOR);
+        assert!(named_sensor(None).unwrap().is_none());
+        let sensor = named_sensor(Some(Path::new("ert-28"))).unwrap().unwrap();
+        assert_eq!(sensor.electrodes_mm().len(), 28);
         let unknown = named("ert-29").unwrap_err().to_string();
         assert!(unknown.contains("did you mean `ert-28`?"), "{unknown}");
     }

@@ -1,5 +1,5 @@
 //! `palpate job`: waiting, running and ended trainings and evaluations; and the progress of one on the terminal.
-//! Uses: `client`. Never: nets (a process of the service trains).
+//! Uses: `client`, `job_words`. Never: nets (a process of the service trains).
 
 use std::path::PathBuf;
 use std::time::Duration;
@@ -10,16 +10,16 @@ use serde_json::Value;
 
 use super::client::Client;
 use super::error::{CliError, CliResult};
+use super::job_words::{details, phase_words, progress_words, warnings};
 use super::next::Next;
 use super::output::{Output, grouped, note, say, say_json, say_whole};
 use super::picture::figure_file;
-use super::progress::{LogLines, bar, to_go};
+use super::progress::{LogLines, bar};
 use super::table::Table;
 use super::times::local;
 use super::{At, embed, job_losses};
 use crate::api::JobOut;
 use crate::ids::TaskId;
-use crate::jobs::Progress;
 use crate::store::TaskState;
 
 /// Shortest start of an id, characters.
@@ -49,6 +49,8 @@ pub struct JobScreen {
     /// The bar; hidden without a terminal.
     bar: ProgressBar,
     lines: LogLines,
+    /// Number of warnings that were shown.
+    warned: usize,
 }
 
 impl JobScreen {
@@ -56,7 +58,7 @@ impl JobScreen {
     pub fn new() -> Self {
         let bar = bar("{bar:30} {msg}");
         let lines = LogLines::instead_of(&bar);
-        Self { bar, lines }
+        Self { bar, lines, warned: 0 }
     }
 
     /// Prints a line above the bar.
@@ -64,22 +66,20 @@ impl JobScreen {
         self.bar.suspend(|| note(text));
     }
 
-    /// Shows the job as it is now; true if it is done.
+    /// Shows the job as it is now, and its new warnings; true if it is done.
     ///
     /// # Errors
     /// `CliError::Refused` if it failed or was stopped.
     pub fn has_ended(&mut self, now: &JobOut) -> CliResult<bool> {
+        for warning in warnings(now).iter().skip(self.warned) {
+            self.note(&format!("warning: {warning}"));
+            self.warned += 1;
+        }
         if let Some(progress) = &now.progress {
             self.bar.set_length(progress.total);
             self.bar.set_position(progress.done);
-            self.bar.set_message(words(progress));
-            self.lines.say(|| match progress.total {
-                0 => words(progress),
-                total => {
-                    let (done, total) = (grouped(progress.done), grouped(total));
-                    format!("{done} of {total}, {}", words(progress))
-                }
-            });
+            self.bar.set_message(phase_words(progress));
+            self.lines.say(|| progress_words(progress));
         }
         if now.task.state == TaskState::Waiting {
             self.bar.set_message("waits in the queue");
@@ -97,26 +97,6 @@ impl JobScreen {
     }
 }
 
-fn words(progress: &Progress) -> String {
-    let mut words = progress.phase.clone();
-    if let Some(epoch) = progress.epoch {
-        words += &format!(", epoch {epoch}");
-    }
-    if let Some(loss) = progress.train_loss {
-        words += &format!(", loss {loss:.3e}");
-    }
-    if let Some(loss) = progress.validation_loss {
-        words += &format!(", validation {loss:.3e}");
-    }
-    if let Some(rate) = progress.per_second {
-        words += &format!(", {rate:.0}/s");
-    }
-    if let Some(left_s) = progress.left_s {
-        words += &format!(", {}", to_go(left_s));
-    }
-    words
-}
-
 /// Options of `job`.
 #[derive(Debug, Args)]
 pub struct JobArgs {
@@ -130,7 +110,7 @@ pub struct JobArgs {
 enum JobWhat {
     /// Show trainings and evaluations, the last first.
     List,
-    /// Show one job and its result.
+    /// Show one job: its request, state, warnings and result.
     Show(OneJob),
     /// Stop a waiting or running job.
     Stop(OneJob),
@@ -174,7 +154,12 @@ pub async fn job(args: JobArgs) -> CliResult<()> {
             JobWhat::Show(OneJob { job }) => {
                 let id = named(client, &job).await?;
                 let job: JobOut = client.get(&format!("/api/v1/jobs/{id}")).await?;
-                say_json(&job);
+                output.say(&job, details(&job));
+                if let Some(model) = job.task.result.as_ref().and_then(|of| of["model"].as_str()) {
+                    Next::of(&at)
+                        .suggest(format_args!("palpate model show {model}"), "its facts and scores")
+                        .say();
+                }
             }
             JobWhat::Stop(OneJob { job }) => {
                 let path = format!("/api/v1/jobs/{}/stop", named(client, &job).await?);
@@ -283,15 +268,6 @@ pub fn shown(job: &JobOut, output: Output) {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn a_phase_that_ends_has_no_time_of_zero_to_go() {
-        let shown =
-            |left_s| words(&Progress { left_s, phase: "training".into(), ..Progress::default() });
-        assert_eq!(shown(Some(0.0)), "training, nearly done");
-        assert_eq!(shown(Some(75.0)), "training, 1 min 15 s to go");
-        assert_eq!(shown(None), "training");
-    }
 
     #[test]
     fn a_job_is_named_by_its_number_last_or_the_start_of_its_id() {

@@ -42,6 +42,7 @@ mod infer;
 mod init;
 mod job;
 mod job_losses;
+mod job_words;
 mod journal;
 mod key;
 mod leave;
@@ -89,7 +90,7 @@ use embed::Purpose::Reads;
 pub use error::CliError;
 use error::CliResult;
 use files::{DEFAULT_GAP, DEFAULT_RIG, DEFAULT_SENSOR};
-pub use files::{DEFAULT_SKIN_SEED, fault_script};
+pub use files::{DEFAULT_SKIN_SEED, fault_script, named_sensor};
 pub use output::{Output, error_drawn, written};
 
 pub use crate::plain::in_plain_words;

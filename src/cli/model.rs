@@ -1,5 +1,5 @@
 //! `palpate model`: lists, shows, promotes and adds models.
-//! Uses: `client`. Never: models in this process (the service stores them).
+//! Uses: `client`, `calibrate::judgement`. Never: models in this process (the service stores them).
 
 use std::fmt::Display;
 use std::path::PathBuf;
@@ -8,15 +8,17 @@ use std::time::Duration;
 use clap::{Args, Subcommand};
 use reqwest::multipart::Part;
 use serde_json::{Value, json};
+use sim_core::calibration::Calibration;
 
 use super::client::Client;
 use super::error::{CliError, CliResult};
 use super::files::{DEFAULT_SENSOR, read_input, write};
 use super::next::Next;
-use super::output::{Output, counted, say, say_json};
+use super::output::{Output, counted, note, say, say_json};
 use super::table::Table;
 use super::{At, embed};
 use crate::api::{ModelOut, PromotionRequest, RollBackRequest, ServesOut, ServingOut};
+use crate::calibrate::judgement;
 use crate::evaluate::quantities::QuantityScores;
 use crate::evaluate::request::EvaluationReport;
 use crate::ids::{CalibrationId, PromotedId};
@@ -139,7 +141,7 @@ async fn answer(client: &Client, what: What, at: &At) -> CliResult<()> {
         What::Show { model } => {
             let model: ModelOut = client.get(&format!("/api/v1/models/{model}")).await?;
             let manifest = toml::to_string_pretty(&model.manifest).unwrap_or_default();
-            let words = format!("{}\n{}", line(&model), manifest.trim_end());
+            let words = format!("{}{}\n{}", line(&model), warned(&model), manifest.trim_end());
             at.output().say_whole(&model, words);
         }
         What::Promote { what, why } => {
@@ -221,12 +223,22 @@ async fn answer(client: &Client, what: What, at: &At) -> CliResult<()> {
         }
         What::AddCalibration { file } => {
             let text = read_input(&file)?;
+            let limitation = limitation(&text);
             let id: CalibrationId = client.post_text("/api/v1/calibrations", text).await?;
-            at.output().say(&json!({ "calibration": id }), &id);
+            at.output().say(&json!({ "calibration": id, "limitation": limitation }), &id);
+            if let Some(words) = limitation.filter(|_| !at.json) {
+                note(format_args!("note: {words}"));
+            }
             promotion(at, &id).say();
         }
     }
     Ok(())
+}
+
+/// What limits the answers of the skin in a calibration file, by the evidence of its fit.
+fn limitation(text: &str) -> Option<String> {
+    let skin = Calibration::from_toml(text).ok()?.skin?;
+    judgement::limitation(&skin.evidence)
 }
 
 /// The command that makes what was added serve.
@@ -269,13 +281,19 @@ fn cells(model: &ModelOut) -> [String; 6] {
     ]
 }
 
+/// The warnings of a model's training, each on a further line.
+fn warned(model: &ModelOut) -> String {
+    model.warnings.iter().map(|warning| format!("\nwarning: {warning}")).collect()
+}
+
 /// A model and its last score, on one line.
 fn line(model: &ModelOut) -> String {
     let cells = cells(model).into_iter().filter(|cell| !cell.is_empty());
     cells.collect::<Vec<_>>().join("  ")
 }
 
-fn score(report: &EvaluationReport) -> String {
+/// The most important scores of an evaluation, on one line.
+pub fn score(report: &EvaluationReport) -> String {
     let rows_of = |rows: u64| counted(rows, "row", "rows");
     let rows = rows_of(report.rows);
     if let Some(voltages) = &report.voltages {
@@ -338,8 +356,10 @@ mod tests {
             created_at: jiff::Timestamp::UNIX_EPOCH,
             serves: false,
             scores: Vec::new(),
+            warnings: vec!["3 of 9 channels are constant".into()],
         };
         assert_eq!(line(&model), "mdl-1  mlp-force  force  virtual  not scored");
+        assert_eq!(warned(&model), "\nwarning: 3 of 9 channels are constant");
     }
 
     #[test]

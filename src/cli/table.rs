@@ -12,6 +12,10 @@ use super::output::{columns, grouped, terminal_width, wrapped};
 const GAP: &str = "  ";
 /// Narrowest last column that is still cut to the width of the terminal, characters.
 const LAST_COLUMN_MIN: usize = 12;
+/// Narrowest last column in which a text that must be whole continues below itself, characters.
+const WHOLE_TEXT_MIN: usize = 20;
+/// Indentation of such a text on lines of its own, below a row that leaves it less.
+const BELOW_ROW: usize = 4;
 
 /// Side to which a column is aligned.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -30,6 +34,7 @@ pub struct Table {
     rows: Vec<Vec<String>>,
     empty: &'static str,
     width: Option<usize>,
+    is_whole: bool,
 }
 
 impl Table {
@@ -45,7 +50,18 @@ impl Table {
 
     /// As [`Table::new`], for names that may contain any character.
     pub fn of_columns(heads: Vec<(String, Align)>, empty: &'static str) -> Self {
-        Self { heads, rows: Vec::new(), empty, width: terminal_width() }
+        Self { heads, rows: Vec::new(), empty, width: terminal_width(), is_whole: false }
+    }
+
+    /// A table whose last column is never cut, such as one of reasons: where it has no room, its text is below the row.
+    pub fn whole(self) -> Self {
+        Self { is_whole: true, ..self }
+    }
+
+    /// As on a terminal of this width.
+    #[cfg(test)]
+    pub fn at_width(self, width: usize) -> Self {
+        Self { width: Some(width), ..self }
     }
 
     /// Adds a row: one cell for each head.
@@ -84,16 +100,20 @@ impl Table {
     }
 
     /// A line that is longer than a terminal is wide: a text in the last column continues below itself, if it begins in
-    /// the left half; otherwise the line is cut. `last`: where that column begins, bytes.
+    /// the left half; otherwise the line is cut, unless the table is `whole`. `last`: where that column begins, bytes.
     fn fitted(&self, line: &str, last: usize, width: usize) -> String {
         let (before, text) = line.split_at(last);
         let column = columns(before);
         let is_text = self.heads.last().is_some_and(|(_, align)| *align == Align::Left);
-        if !is_text || column > width / 2 {
-            return cut(line, width);
+        let has_room = self.is_whole && column + WHOLE_TEXT_MIN <= width;
+        if is_text && (column <= width / 2 || has_room) {
+            return format!("{before}{}", indented(text, column, width - column));
         }
-        let text = wrapped(text, width - column);
-        format!("{before}{}", text.replace('\n', &format!("\n{:column$}", "")))
+        if is_text && self.is_whole && !text.is_empty() {
+            let text = indented(text, BELOW_ROW, width.saturating_sub(BELOW_ROW));
+            return format!("{}\n{:BELOW_ROW$}{text}", before.trim_end(), "");
+        }
+        cut(line, width)
     }
 }
 
@@ -119,6 +139,11 @@ pub fn or_dash(value: Option<impl fmt::Display>) -> String {
 /// A cell for a count of an answer: `-` if it is absent.
 pub fn count_or_dash(count: &Value) -> String {
     or_dash(count.as_u64().map(grouped))
+}
+
+/// Wraps a text; its further lines are indented.
+fn indented(text: &str, indent: usize, width: usize) -> String {
+    wrapped(text, width).replace('\n', &format!("\n{:indent$}", ""))
 }
 
 fn one_line(cell: &str) -> String {
@@ -187,6 +212,22 @@ mod tests {
         assert_eq!(named.to_string().lines().nth(1), Some("  1  触覚…"));
         named.width = Some(14);
         assert_eq!(named.to_string().lines().nth(1), Some("  1  触覚  vi…"));
+    }
+
+    #[test]
+    fn a_text_that_must_be_whole_continues_in_its_column_or_below_its_row() {
+        let actions = |width| {
+            let mut table = Table::new("action | who | why", "").whole().at_width(width);
+            table.push(["pause".into(), "ada".into(), "the lamp of the lab was replaced".into()]);
+            table.push(["stop".into(), "operator of bench 2".into(), String::new()]);
+            table.to_string()
+        };
+        let head = "action  who                  why";
+        let column = "pause   ada                  the lamp of the lab\n                             was replaced";
+        let below = "pause   ada\n    the lamp of the lab was\n    replaced";
+        let last = "stop    operator of bench 2";
+        assert_eq!(actions(49), [head, column, last].join("\n"));
+        assert_eq!(actions(32), [head, below, last].join("\n"));
     }
 
     #[test]

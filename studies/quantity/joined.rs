@@ -20,20 +20,26 @@ const MEANS: &str = "The row of a net is the mean of the datasets below it ± th
 /// The result of several datasets in one table: each net by its mean over them, and on each.
 pub(super) fn joined(all: &[OnDataset], quantity: Quantity) -> Sheet {
     let name = quantity.name();
-    let nets = all.iter().map(|one| one.entries.len()).max().unwrap_or(0);
-    // Nets are compared by their place in the list: a dataset that lacks one is in no mean.
+    let nets: &[String] = all.first().map_or(&[], |one| one.nets.as_slice());
+    // The entries of these datasets are those of all nets in one order: nets are compared by their place in it. A
+    // dataset that lacks one is in no mean.
     let (scored, without): (Vec<&OnDataset>, Vec<&OnDataset>) =
-        all.iter().partition(|one| !one.entries.is_empty() && one.entries.len() == nets);
+        all.iter().partition(|one| one.entries.iter().map(|entry| &entry.name).eq(nets));
     let mean = |at: usize| {
         let of: Vec<&Entry> = scored.iter().map(|one| &one.entries[at]).collect();
         Entry::mean(&of)
     };
-    let means: Vec<Entry> = (0..nets).filter_map(mean).collect();
+    let means: Vec<Entry> = (0..nets.len()).filter_map(mean).collect();
     let verdicts = verdicts(&means, |net, baseline| less_on(&scored, net, baseline));
     let mut notes_of_each = String::new();
     for one in without {
-        notes_of_each +=
-            &format!("{} lacks the scores of a net, and is in no mean.\n", one.dataset);
+        let has_no_scores = |net: &&str| one.entries.iter().all(|entry| entry.name != **net);
+        let lacking = nets.iter().map(String::as_str).filter(has_no_scores);
+        notes_of_each += &format!(
+            "{} lacks the scores of {}, and is in no mean.\n",
+            one.dataset,
+            lacking.collect::<Vec<&str>>().join(", ")
+        );
     }
     for one in all {
         for note in notes(&one.reports) {

@@ -9,7 +9,7 @@ use crate::evaluate::quantities::QuantityScores;
 use crate::evaluate::request::{EvaluationReport, Scored};
 use crate::evaluate::score::Mean;
 use crate::evaluate::table::markdown;
-use crate::ids::ModelId;
+use crate::ids::{DatasetId, ModelId};
 use crate::lab::{Lab, StudyError, Training};
 use crate::learn::targets::Quantity;
 use crate::sheet::Sheet;
@@ -46,7 +46,9 @@ struct OnDataset {
     dataset: String,
     split_by: String,
     label: &'static str,
-    /// In the same order on every dataset; empty if no row of the test part has the quantity.
+    /// Names of all compared nets, the same on every dataset.
+    nets: Vec<String>,
+    /// Those with scores, in this order; empty if no row of the test part has the quantity.
     entries: Vec<Entry>,
     reports: Vec<EvaluationReport>,
 }
@@ -55,13 +57,14 @@ struct OnDataset {
 /// of its test part. The result of several datasets has the mean over them.
 ///
 /// # Errors
-/// Error of the lab if a training or an evaluation fails; `StudyError::OtherQuantity` if a named net answers another
-/// quantity.
+/// Error of the lab if a training or an evaluation fails; `StudyError::SameDataset` if two words name one dataset;
+/// `StudyError::OtherQuantity` if a named net answers another quantity.
 pub async fn quantity<L: Lab>(
     lab: &L,
     budget: &Budget,
     compared: &Compared,
 ) -> Result<Sheet, L::Error> {
+    each_is_another(lab, budget, &compared.datasets).await?;
     let mut all = Vec::new();
     for dataset in &compared.datasets {
         all.push(on_dataset(lab, budget, compared, budget.dataset(dataset)).await?);
@@ -70,6 +73,24 @@ pub async fn quantity<L: Lab>(
         [one] => one.sheet(compared.quantity),
         several => joined(several, compared.quantity),
     })
+}
+
+/// Checks that no two words name one dataset, such as its name and its id: it would count twice in the mean.
+async fn each_is_another<L: Lab>(
+    lab: &L,
+    budget: &Budget,
+    datasets: &[String],
+) -> Result<(), L::Error> {
+    let mut known: Vec<(DatasetId, &String)> = Vec::new();
+    for word in datasets {
+        let id = lab.dataset_id(&budget.dataset(word)).await?;
+        if let Some((id, first)) = known.iter().find(|(other, _)| *other == id) {
+            let (first, again, id) = ((*first).clone(), word.clone(), id.clone());
+            return Err(StudyError::SameDataset { first, again, id }.into());
+        }
+        known.push((id, word));
+    }
+    Ok(())
 }
 
 /// Trains and scores on one dataset, whose name has the split of the budget.
@@ -89,6 +110,7 @@ async fn on_dataset<L: Lab>(
         scored.push((name, is_baseline, model.to_string()));
     }
     scored.extend(compared.nets.iter().map(|net| (net.clone(), false, net.clone())));
+    let nets: Vec<String> = scored.iter().map(|(name, ..)| name.clone()).collect();
     for (name, is_baseline, net) in scored {
         let mut request = budget.request(Scored::Quantity, &dataset, Some("test"));
         request.conditions.clone_from(&compared.conditions);
@@ -107,13 +129,13 @@ async fn on_dataset<L: Lab>(
         reports.push(report);
     }
     let label = reports.first().map_or("", |report| report.label.as_str());
-    Ok(OnDataset { dataset, split_by, label, entries, reports })
+    Ok(OnDataset { dataset, split_by, label, nets, entries, reports })
 }
 
 impl OnDataset {
     /// The result of this dataset alone.
     fn sheet(&self, quantity: Quantity) -> Sheet {
-        let Self { dataset, split_by, label, entries, reports } = self;
+        let Self { dataset, split_by, label, entries, reports, .. } = self;
         let name = quantity.name();
         let verdicts = verdicts(entries, |_, _| String::new());
         let notes = notes(reports).into_iter().map(|note| format!("Note: {note}.\n"));
@@ -349,6 +371,7 @@ mod tests {
             dataset: dataset.into(),
             split_by: "run".into(),
             label: "virtual",
+            nets: ["ridge", "kernel ridge", "mlp"].map(str::to_owned).into(),
             entries: vec![
                 entry("ridge", true, errors[0]),
                 entry("kernel ridge", true, errors[1]),
@@ -367,7 +390,7 @@ mod tests {
             "mlp beats ridge: 25 % less error (less error on 2 of 2 datasets).",
             "mlp does NOT beat kernel ridge (less error on 1 of 2 datasets).",
             "2 rows without this quantity",
-            "c lacks the scores of a net, and is in no mean.",
+            "c lacks the scores of ridge, kernel ridge, mlp, and is in no mean.",
         ] {
             assert!(text.contains(wanted), "{wanted}: {text}");
         }
@@ -385,6 +408,30 @@ mod tests {
         assert_eq!(error["mean"], 4.5);
         assert_eq!(error["n"], 2, "datasets");
         assert_eq!(error.get("low_95"), None, "no interval of two datasets");
+        // Each has two of the nets: the second of one is not the second of the other.
+        let mut all = [on("a", [4.0, 2.0, 3.0]), on("b", [8.0, 6.5, 6.0])];
+        all[0].entries.remove(1);
+        all[1].entries.remove(2);
+        let sheet = joined(&all, Quantity::Force);
+        assert_eq!(sheet.numbers["nets"], json!([]), "{}", sheet.text);
+        for wanted in ["a lacks the scores of kernel ridge,", "b lacks the scores of mlp,"] {
+            assert!(sheet.text.contains(wanted), "{wanted}: {}", sheet.text);
+        }
+    }
+
+    #[test]
+    fn a_dataset_that_is_named_twice_is_refused_before_nets_are_trained() {
+        let of = |words: [&str; 2], by_trial| {
+            let lab = FakeLab::default();
+            let datasets = words.map(str::to_owned).into();
+            let budget = Budget { by_trial, ..small() };
+            let refused = result(quantity(&lab, &budget, &Compared { datasets, ..compared() }));
+            (refused.unwrap_err().to_string(), lab.trained.lock().unwrap().len())
+        };
+        let words = "ds-pad: must be another dataset than pad; both are ds-pad";
+        assert_eq!(of(["pad", "ds-pad"], false), (words.into(), 0));
+        let words = "real-by-trial: must be another dataset than real; both are ds-real-by-trial";
+        assert_eq!(of(["real", "real-by-trial"], true), (words.into(), 0));
     }
 
     #[test]

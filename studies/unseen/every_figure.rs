@@ -1,5 +1,5 @@
 //! Every figure of every study, up to this last one, states its title, label and n, and has no missing
-//! number.
+//! number; the studies share a Transfer-Net.
 
 use serde_json::{Value, json};
 
@@ -133,4 +133,24 @@ fn the_published_line_of_table_iii_is_drawn_and_a_missing_count_is_a_gap() {
     let svg = &sheet.files.iter().find(|file| file.name == "table-iii.svg").unwrap().text;
     assert!(svg.contains("paper (measured)") && svg.contains("no net"));
     assert_eq!(texts(svg).iter().filter(|text| text.starts_with("trained on 1")).count(), 6);
+}
+
+#[test]
+fn the_figures_use_the_last_net_of_table_iii() {
+    let lab_to_4 = || FakeLab { contacts: Some(vec![1, 2, 4]), ..lab() };
+    let trained = |lab: &FakeLab, at: usize| lab.trained.lock().unwrap()[at].clone();
+    let of_table = lab_to_4();
+    result(table_iii(&of_table, &small(), R2S)).unwrap();
+    let last = trained(&of_table, 2);
+    assert_eq!(last.stem, "transfer-to-4-small");
+    let labs = [lab_to_4(), lab_to_4(), lab_to_4()];
+    result(fig_10(&labs[0], &small())).unwrap();
+    result(fig_11(&labs[1], &small())).unwrap();
+    result(fig_12(&labs[2], &small(), &unseen())).unwrap();
+    for lab in &labs {
+        assert_eq!(trained(lab, 0), last);
+        let transfers = lab.trained.lock().unwrap();
+        let mut of_recipe = transfers.iter().filter(|t| t.recipe.starts_with("transfer-net"));
+        assert!(of_recipe.all(|t| t.conditions == ["contact_count__lte=4"]), "{transfers:?}");
+    }
 }

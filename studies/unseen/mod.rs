@@ -4,7 +4,7 @@
 
 use serde_json::json;
 
-use crate::budget::{Budget, END_TO_END, R2S, RECON_NET, REGRESSIONS, Scale, up_to};
+use crate::budget::{Budget, END_TO_END, R2S, RECON_NET, REGRESSIONS, Scale, most};
 use crate::dataset::force_map::{ForceMapSpec, SIDE_MM};
 use crate::evaluate::published::REAL_UNSEEN;
 use crate::evaluate::request::{EvaluationReport, EvaluationRequest, FramesRead};
@@ -173,7 +173,8 @@ impl<L: Lab> Study<'_, L> {
         if self.facts.has_parts && !self.facts.has_simulated {
             return Ok(scores);
         }
-        let transfer = self.lab.train(&self.training(self.budget.transfer_to_6())).await?;
+        let training = self.budget.transfer_to_all(&self.contacts().await?);
+        let transfer = self.lab.train(&self.training(training)).await?;
         for map in maps(self.budget) {
             for level in LEVELS {
                 let training = self.budget.map_net(RECON_NET, map, Noise::at(level, &transfer));
@@ -188,10 +189,17 @@ impl<L: Lab> Study<'_, L> {
         Ok(scores)
     }
 
+    /// Numbers of contacts of the rows from which Transfer-Nets learn.
+    async fn contacts(&self) -> Result<Vec<u32>, L::Error> {
+        let has_parts = self.facts.has_parts;
+        let own = has_parts.then(|| self.unseen.dataset.clone());
+        self.lab.contact_numbers(&own.unwrap_or_else(|| self.budget.dataset(R2S))).await
+    }
+
     /// Scores the best of the pipeline with the paper's Transfer-Net: least squares in volts.
     async fn with_published(&self, best: &EvaluationReport) -> Result<EvaluationReport, L::Error> {
-        let stem = "transfer-published-to-6";
-        let training = self.budget.transfer_by(PUBLISHED, stem, R2S, &[up_to(6)]);
+        let most = most(&self.contacts().await?);
+        let training = self.budget.transfer_by(PUBLISHED, "transfer-published", R2S, most);
         let transfer = self.lab.train(&self.training(training)).await?;
         let mut request = self.request(Method::Paper);
         request.transfer = Some(transfer.to_string());

@@ -7,6 +7,7 @@ use std::time::{Duration, Instant};
 use palpate::api::{ServeOptions, Service};
 use palpate::conductor::AutoResume;
 use serde_json::{Value, json};
+use sim_core::sensor::Sensor;
 use tokio::sync::{Semaphore, SemaphorePermit};
 use virtual_rig::run::{RigArgs, RigOptions, VirtualRig};
 use virtual_rig::{OperatorArgs, operator_main};
@@ -143,11 +144,12 @@ impl Lab {
             who: "virtual operator".into(),
             mistakes,
             seed: 1,
-            sensor: Some(file("sensors/ert-28.toml")),
             with_parent: false,
         };
+        let text = std::fs::read_to_string(file("sensors/ert-28.toml")).unwrap();
+        let sensor = Sensor::from_toml(&text).unwrap();
         // It ends with an error once the service has ended.
-        std::thread::spawn(move || operator_main(args));
+        std::thread::spawn(move || operator_main(args, Some(&sensor)));
     }
 
     /// A GET that must succeed.

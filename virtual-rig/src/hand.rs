@@ -1,8 +1,6 @@
 //! The hand of the virtual operator: where it puts weights, and its mistakes.
 //! Uses: rand, sim-core's sensor (the points). Never: the service, the rig.
 
-use std::path::{Path, PathBuf};
-
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use sim_core::sensor::Sensor;
@@ -18,9 +16,6 @@ const MISTAKE_MM: f64 = 60.0;
 pub enum HandError {
     #[error("--mistakes {0}: must be from 0 to 1, with --sensor FILE")]
     Mistakes(f64),
-    /// The sensor file cannot be read.
-    #[error("{path}: {why}", path = path.display())]
-    Sensor { path: PathBuf, why: String },
 }
 
 /// The hand of the operator: where it puts weights.
@@ -31,21 +26,13 @@ pub struct Hand {
 }
 
 impl Hand {
-    /// A hand that errs with a probability, on the points of a sensor file.
+    /// A hand that errs with a probability, on the points of a sensor.
     ///
     /// # Errors
-    /// `HandError` if the probability is not from 0 to 1, or above 0 without points, or the sensor file
-    /// cannot be read.
-    pub fn new(mistakes: f64, seed: u64, sensor: Option<&Path>) -> Result<Self, HandError> {
-        let points_mm = match sensor {
-            Some(path) => {
-                let failed = |why: String| HandError::Sensor { path: path.to_owned(), why };
-                let text = std::fs::read_to_string(path).map_err(|e| failed(e.to_string()))?;
-                let sensor = Sensor::from_toml(&text).map_err(|e| failed(e.to_string()))?;
-                sensor.points().iter().map(|p| [p.x_mm, p.y_mm]).collect()
-            }
-            None => Vec::new(),
-        };
+    /// `HandError` if the probability is not from 0 to 1, or above 0 without points.
+    pub fn new(mistakes: f64, seed: u64, sensor: Option<&Sensor>) -> Result<Self, HandError> {
+        let points = sensor.into_iter().flat_map(|sensor| sensor.points());
+        let points_mm: Vec<[f64; 2]> = points.map(|p| [p.x_mm, p.y_mm]).collect();
         let is_share = (0.0..=1.0).contains(&mistakes);
         if !is_share || mistakes > 0.0 && points_mm.is_empty() {
             return Err(HandError::Mistakes(mistakes));
@@ -78,8 +65,8 @@ mod tests {
 
     #[test]
     fn the_hand_slips_with_its_probability_and_the_same_seed_slips_again() {
-        let sensor =
-            PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../experiments/sensors/ert-28.toml");
+        let text = include_str!("../../experiments/sensors/ert-28.toml");
+        let sensor = Sensor::from_toml(text).unwrap();
         let hand = |mistakes| Hand::new(mistakes, 1, Some(&sensor)).unwrap();
         let weight = |x_mm, y_mm| Weight { x_mm, y_mm, force_n: 4.905 };
         let asked = [weight(100.0, 80.0), weight(300.0, 300.0)];

@@ -158,6 +158,7 @@ impl RigConfig {
         let known = self.lines.contains_key(&self.cells.line);
         c.require(known, "cells.line", &self.cells.line, "must be one of [lines]");
         self.cells.check(&mut c);
+        self.check_shared(&mut c);
         let (low, high) = (self.slot.radius_mm[0], self.slot.radius_mm[1]);
         let (ok, shown) = (low > 0.0 && low < high, format!("[{low}, {high}]"));
         c.require(ok, "slot.radius_mm", shown, "must be [lower, upper], positive");
@@ -196,6 +197,38 @@ impl RigConfig {
         self.ert.check(&mut c);
         c.done()
     }
+
+    /// Checks that each device has an address of its own, since what is sent to one would also move the other, and that
+    /// each serial port is opened once.
+    fn check_shared(&self, c: &mut Checks<'_>) {
+        let axes = &self.axes;
+        let devices = [
+            ("axes.x", &axes.x.line, axes.x.unit),
+            ("axes.y", &axes.y.line, axes.y.unit),
+            ("axes.z", &axes.z.line, axes.z.unit),
+            ("axes.radial", &axes.radial.line, axes.radial.unit),
+            ("cells", &self.cells.line, self.cells.unit),
+        ];
+        let devices = devices
+            .map(|(device, line, unit)| (device, self.lines.get(line).map(LineConfig::port), unit));
+        for (n, (device, port, unit)) in devices.iter().enumerate() {
+            let earlier = devices[..n].iter();
+            let same = earlier.filter(|(_, p, u)| port.is_some() && (p, u) == (port, unit));
+            for (other, ..) in same {
+                let limit = format!("must not be that of {other}, which is on the same wire");
+                c.require(false, &format!("{device}.unit"), unit, &limit);
+            }
+        }
+        let mut serial: Vec<&str> = self.ert.serial_path().into_iter().collect();
+        for (name, line) in &self.lines {
+            if let LineConfig::ModbusRtu { path, .. } = line {
+                let ok = !serial.contains(&path.as_str());
+                let limit = "must not be that of another line or of [ert]";
+                c.require(ok, &format!("lines.{name}.path"), path, limit);
+                serial.push(path);
+            }
+        }
+    }
 }
 
 pub(super) fn one() -> f64 {
@@ -221,6 +254,46 @@ mod tests {
         assert_eq!(rig.sample_age_ms(), 600);
         rig.limits.sample_age_ms = Some(120);
         assert_eq!(rig.sample_age_ms(), 120);
+    }
+
+    #[test]
+    fn two_devices_have_no_common_address_and_two_wires_no_common_port() {
+        let tcp = include_str!("../../../experiments/rigs/virtual.toml");
+        let rtu = include_str!("../../../experiments/rigs/leadshine-rtu.toml");
+        for (text, from, to, words) in [
+            (tcp, "unit = 2", "unit = 1", "axes.y.unit = 1: must not be that of axes.x"),
+            (tcp, "unit = 4", "unit = 3", "axes.radial.unit = 3: must not be that of axes.z"),
+            // The module of the cells, through the gateway of the stage.
+            (tcp, ":5021", ":5020", "cells.unit = 1: must not be that of axes.x"),
+            (
+                rtu,
+                "usb-skin-readout",
+                "usb-stage-rs485",
+                "lines.stage.path = /dev/serial/by-id/usb-stage-rs485: must not be that of another",
+            ),
+        ] {
+            assert!(text.contains(from), "{from}");
+            let problems = RigConfig::from_toml("r.toml", &text.replacen(from, to, 1)).unwrap_err();
+            assert_eq!(problems.len(), 1, "{problems:?}");
+            assert!(
+                problems[0].to_string().starts_with(&format!("r.toml: {words}")),
+                "{problems:?}"
+            );
+        }
+    }
+
+    #[test]
+    fn a_silence_that_would_delay_a_stop_is_refused() {
+        let text = include_str!("../../../experiments/rigs/leadshine-rtu.toml");
+        let parsed = |silence_us: u64| {
+            let text = text.replacen("baud = ", &format!("silence_us = {silence_us}\nbaud = "), 1);
+            RigConfig::from_toml("r.toml", &text).map_err(|problems| problems[0].to_string())
+        };
+        assert!(parsed(100_000).is_ok());
+        assert_eq!(
+            parsed(5_000_000).unwrap_err(),
+            "r.toml: lines.cells.silence_us = 5000000: must be at most 100000"
+        );
     }
 
     #[test]

@@ -5,6 +5,9 @@ use serde::{Deserialize, Serialize};
 
 use crate::problem::Checks;
 
+/// Longest silence between frames, us: three times that of the standard at 1200 baud. A stop waits for it.
+const SILENCE_MAX_US: u64 = 100_000;
+
 /// Connection of one Modbus wire.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "kind", rename_all = "kebab-case", deny_unknown_fields)]
@@ -49,14 +52,23 @@ impl LineConfig {
         *timeout_ms
     }
 
+    /// Address, or path of the serial device.
+    pub fn port(&self) -> &str {
+        let (Self::ModbusTcp { address: port, .. } | Self::ModbusRtu { path: port, .. }) = self;
+        port
+    }
+
     /// Checks the values of the wire with this name.
     pub(super) fn check(&self, name: &str, c: &mut Checks<'_>) {
         let key = |k: &str| format!("lines.{name}.{k}");
         let (timeout_ms, retries) = match self {
             Self::ModbusTcp { timeout_ms, retries, .. } => (*timeout_ms, *retries),
-            Self::ModbusRtu { baud, timeout_ms, retries, .. } => {
+            Self::ModbusRtu { baud, timeout_ms, retries, silence_us, .. } => {
                 let ok = (1200..=4_000_000).contains(baud);
                 c.require(ok, &key("baud"), baud, "must be from 1200 to 4000000");
+                let silence_us = silence_us.unwrap_or(0);
+                let ok = silence_us <= SILENCE_MAX_US;
+                c.require(ok, &key("silence_us"), silence_us, "must be at most 100000");
                 (*timeout_ms, *retries)
             }
         };
@@ -110,6 +122,14 @@ impl ErtConfig {
     pub fn electrodes(&self) -> u16 {
         let (Self::Tcp { electrodes, .. } | Self::Serial { electrodes, .. }) = self;
         *electrodes
+    }
+
+    /// Path of the serial device; none on TCP.
+    pub(super) fn serial_path(&self) -> Option<&str> {
+        match self {
+            Self::Tcp { .. } => None,
+            Self::Serial { path, .. } => Some(path.as_str()),
+        }
     }
 
     /// Frames per process second.

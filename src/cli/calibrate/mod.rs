@@ -42,7 +42,8 @@ enum What {
     /// Fit the fields of one skin to the trials of a run.
     ///
     /// Fields of a, b, c, compliance and sheet, positions and resistances of the electrodes, and
-    /// the readout's offsets. Reports the fit of held-out trials before and after.
+    /// the readout's offsets. Reports the fit of held-out trials before and after; a skin that does not explain them
+    /// better is not written.
     Skin(skin::SkinArgs),
 }
 

@@ -1,13 +1,13 @@
 //! `palpate calibrate skin`: the fields of one skin, from the trials of a run.
-//! Uses: `client`, `calibrate::skin`, `simulate` (contacts of a trial, the elastic solve). Never:
-//! trials except through the API, a fit on the threads that answer.
+//! Uses: `client`, `calibrate::skin`, `calibrate::judgement`, `simulate` (contacts of a trial, the elastic solve).
+//! Never: trials except through the API, a fit on the threads that answer.
 
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::thread;
 
 use clap::Args;
-use serde_json::json;
+use serde_json::{Value, json};
 use sim_core::calibration::Calibration;
 use sim_core::inverse::skin::{MeasuredTrial, SkinFitOptions, noise_v};
 use sim_core::responses::UnitResponses;
@@ -24,6 +24,7 @@ use super::super::progress::{Counted, LogLines, progress_bar};
 use super::super::simulate::solving;
 use crate::api::Page;
 use crate::calibrate::CalibrateError;
+use crate::calibrate::judgement::limitation;
 use crate::calibrate::skin::{CalibratedSkin, Candidate, Choice, Source, calibrate, choose};
 use crate::calibrate::skin_plot;
 use crate::dataset::pressed::{contacts, tips_mm};
@@ -67,7 +68,8 @@ pub struct SkinArgs {
 /// Runs `palpate calibrate skin`.
 ///
 /// # Errors
-/// `CliError` if the run or an input is invalid, the fit fails, or a file cannot be written.
+/// `CliError` if the run or an input is invalid, the fit fails or is not better than its start, or a file cannot be
+/// written.
 pub async fn skin(client: &Client, args: &SkinArgs) -> CliResult<()> {
     let run = find_run(client, &args.run).await?;
     let (sensor, earlier) = start(&run, args)?;
@@ -94,9 +96,11 @@ pub async fn skin(client: &Client, args: &SkinArgs) -> CliResult<()> {
     if let Some(path) = &args.plot {
         picture::write(path, &skin_plot::skin(&sensor, &fitted)?).await?;
     }
-    let (before, after) = (fitted.skin.evidence.before.median, fitted.skin.evidence.after.median);
-    if after >= before {
-        return Err(CalibrateError::NoBetter { before, after }.into());
+    if !fitted.judgement.better {
+        if args.at.json {
+            say_json(&facts(&run, &fitted));
+        }
+        return Err(CalibrateError::NoBetter(fitted.judgement).into());
     }
     if let Some(path) = &args.out {
         write(path, &whole.to_toml()?)?;
@@ -221,6 +225,16 @@ fn fit(
     Ok(outcome?)
 }
 
+/// What a fit yielded, for scripts; without the id of its file, which a fit that is not better does not have.
+fn facts(run: &RunRow, fitted: &CalibratedSkin) -> Value {
+    let CalibratedSkin { skin, judgement, parameters, costs, .. } = fitted;
+    json!({
+        "run": run.uid, "label": run.label, "parameters": parameters, "costs": costs,
+        "evidence": skin.evidence, "judgement": judgement,
+        "limitation": limitation(&skin.evidence),
+    })
+}
+
 fn answer(
     args: &SkinArgs,
     run: &RunRow,
@@ -228,15 +242,14 @@ fn answer(
     fitted: &CalibratedSkin,
 ) -> CliResult<()> {
     let id = whole.id()?;
-    let CalibratedSkin { skin, parameters, costs, .. } = fitted;
-    let evidence = &skin.evidence;
     if args.at.json {
-        say_json(&json!({
-            "id": id, "run": run.uid, "label": run.label, "parameters": parameters,
-            "costs": costs, "evidence": evidence,
-        }));
+        let mut object = facts(run, fitted);
+        object["id"] = json!(id);
+        say_json(&object);
         return Ok(());
     }
+    let CalibratedSkin { skin, judgement, parameters, .. } = fitted;
+    let evidence = &skin.evidence;
     say(&id);
     let [trials, held_out] = [evidence.trials, evidence.held_out].map(|n| n as u64);
     say(format_args!(
@@ -249,6 +262,10 @@ fn answer(
     let (before, after) = (&evidence.before, &evidence.after);
     say(format_args!("  FVU held out, median: {:.4} -> {:.4}", before.median, after.median));
     say(format_args!("  FVU held out, mean:   {:.4} -> {:.4}", before.mean, after.mean));
+    if judgement.outliers > 0 {
+        let (name, mean) = (judgement.mean_name(), &judgement.mean);
+        say(format_args!("  FVU held out, {name}: {:.4} -> {:.4}", mean.before, mean.after));
+    }
     let along = skin.fields.ln_sheet_anisotropy.exp();
     say(format_args!(
         "  sheet:                conducts {along:.2} times as well along x as along y"
@@ -256,6 +273,9 @@ fn answer(
     if evidence.doubted > 0 {
         let doubted = counted(evidence.doubted as u64, "trial", "trials");
         say(format_args!("  {doubted} with a weight below one half: outliers"));
+    }
+    if let Some(words) = limitation(evidence) {
+        note(format_args!("note: {words}"));
     }
     super::say_end(args.out.as_deref(), &args.at);
     Ok(())

@@ -18,6 +18,7 @@ use crate::cli::evaluate::lab::{ExtentArgs, ServiceLab};
 use crate::jobs::chunks::{DatasetFile, FIRST_GPU, ONE_THREAD, work_order};
 use crate::new_file::{Finished, Look};
 use crate::studies::budget::R2S;
+use crate::studies::lab::Lab;
 use crate::studies::maps::table_iv_nets;
 use crate::studies::transfer::table_iii_nets;
 
@@ -61,13 +62,16 @@ impl TableRequest {
     pub async fn write(&self, folder: &Path, json: bool) -> CliResult<(OrderFolder, bool)> {
         let at = self.place.at(json);
         let budget = self.extent.budget();
-        let table = match self.table {
-            TableName::Maps => table_iv_nets(&budget),
-            TableName::Transfer => table_iii_nets(&budget, &self.dataset),
-        };
         let compute = if self.gpu { FIRST_GPU } else { ONE_THREAD };
         embed::with_purpose(&at, embed::Purpose::Computes, async |client| {
             let lab = ServiceLab::new(client.clone(), at.output(), None);
+            let table = match self.table {
+                TableName::Maps => table_iv_nets(&budget),
+                TableName::Transfer => {
+                    let contacts = lab.contact_numbers(&budget.dataset(&self.dataset)).await?;
+                    table_iii_nets(&budget, &self.dataset, &contacts)
+                }
+            };
             let mut nets = Vec::new();
             for net in &table {
                 nets.push(lab.net_order(net).await?);

@@ -24,7 +24,7 @@ use crate::cli::{At, embed};
 use crate::dataset::import::sensor::ImportedSensor;
 use crate::digest::sha256_hex;
 use crate::evaluate::request::{EvaluationReport, EvaluationRequest};
-use crate::ids::ModelId;
+use crate::ids::{DatasetId, ModelId};
 use crate::infer::answer::Reading;
 use crate::infer::methods::Method;
 use crate::infer::registry::SENSOR_FILE;
@@ -32,6 +32,7 @@ use crate::jobs::chunks::{DatasetFile, NetOrder, NetScore, SCORES_FILE};
 use crate::learn::model_file::Manifest;
 use crate::learn::order::{MANIFEST, ONNX, RESIDUALS};
 use crate::learn::residuals::Residuals;
+use crate::record::CONTACTS_MAX;
 use crate::simulate::schema::SIM_VOLTAGES_V;
 use crate::store::{RunKind, RunRow, TaskRow, TaskState};
 use crate::studies::budget::{Budget, Scale};
@@ -284,9 +285,30 @@ impl ServiceLab {
 impl Lab for ServiceLab {
     type Error = CliError;
 
+    async fn dataset_id(&self, dataset: &str) -> CliResult<DatasetId> {
+        let row = self.dataset(dataset).await?;
+        Ok(DatasetId::unchecked(row["id"].as_str().unwrap_or_default()))
+    }
+
     async fn split_by(&self, dataset: &str) -> CliResult<String> {
         let row = self.dataset(dataset).await?;
         Ok(row["definition"]["split"]["by"].as_str().unwrap_or("nothing").to_owned())
+    }
+
+    async fn contact_numbers(&self, dataset: &str) -> CliResult<Vec<u32>> {
+        let row = self.dataset(dataset).await?;
+        let (id, report) = (row["id"].as_str().unwrap_or_default(), &row["report"]);
+        let part = if report["parts"]["train"].is_u64() { "&split__eq=train" } else { "" };
+        let mut found = Vec::new();
+        for number in (1_u32..).take(CONTACTS_MAX) {
+            let of_number = format!("contact_count__eq={number}{part}&columns=contact_count");
+            let path = format!("/api/v1/datasets/{id}/rows?{of_number}&limit=1");
+            let page: Value = self.client.get(&path).await?;
+            if !rows(&page, "items").is_empty() {
+                found.push(number);
+            }
+        }
+        Ok(found)
     }
 
     async fn facts(&self, dataset: &str) -> CliResult<DatasetFacts> {
@@ -427,6 +449,10 @@ impl From<StudyError> for CliError {
             StudyError::OtherQuantity { net, answers, wanted } => {
                 let limit = format!("must be a net of the {wanted}, not of the {answers}");
                 Self::argument("net", net, limit)
+            }
+            StudyError::SameDataset { first, again, id } => {
+                let limit = format!("must be another dataset than {first}; both are {id}");
+                Self::argument("dataset", again, limit)
             }
             StudyError::NoMethod { dataset } => Self::argument("dataset", dataset, NO_METHOD),
             StudyError::NoTrial { dataset, trial } => {

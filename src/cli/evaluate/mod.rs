@@ -73,6 +73,8 @@ enum What {
         lab: LabArgs,
     },
     /// Table III: Transfer-Nets trained on 1, 1 to 2, .. 1 to 6 contacts, tested on each number.
+    ///
+    /// No net is trained up to a number of contacts that no trial of the part train has.
     Transfer {
         /// Name of the dataset.
         #[arg(long, value_name = "NAME", default_value = R2S)]

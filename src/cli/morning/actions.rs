@@ -1,6 +1,8 @@
 //! `palpate actions`: who requested what, when, why, and with which result.
 //! Uses: `client`, `table`. Never: a change.
 
+use std::collections::BTreeMap;
+
 use serde_json::json;
 
 use super::ActionsArgs;
@@ -29,9 +31,19 @@ pub async fn actions(client: &Client, args: &ActionsArgs) -> CliResult<()> {
         return Ok(());
     }
     let numbers = numbers_of(client, found.iter().filter_map(|action| action.run)).await?;
+    say(table(&found, &numbers));
+    if !is_all {
+        say(format_args!("the newest {}; --limit N shows more", found.len()));
+    }
+    Ok(())
+}
+
+/// The actions as a table, with the numbers of their runs.
+fn table(actions: &[ActionRow], numbers: &BTreeMap<String, i64>) -> Table {
     let number = |action: &ActionRow| numbers.get(&action.run?.to_string());
-    let mut table = Table::new("time | action | run> | who | why, values", "there are no actions");
-    for action in &found {
+    let heads = "time | action | run> | who | why, values";
+    let mut table = Table::new(heads, "there are no actions").whole();
+    for action in actions {
         let words = action.why.iter().chain(&action.detail).cloned().collect::<Vec<_>>();
         table.push([
             second(action.at),
@@ -41,9 +53,35 @@ pub async fn actions(client: &Client, args: &ActionsArgs) -> CliResult<()> {
             words.join("; "),
         ]);
     }
-    say(&table);
-    if !is_all {
-        say(format_args!("the newest {}; --limit N shows more", found.len()));
+    table
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_reason_of_an_action_is_whole_at_80_columns() {
+        let why = "the skin was cleaned, and the second tip of the carousel was replaced";
+        let refused = "the run is paused: resume or abort it first";
+        let action = |action: &str, who: &str, accepted: bool| ActionRow {
+            id: 1,
+            at: jiff::Timestamp::UNIX_EPOCH,
+            run: None,
+            action: action.into(),
+            who: who.into(),
+            key_id: None,
+            why: Some(why.into()),
+            accepted,
+            detail: (!accepted).then(|| refused.to_owned()),
+        };
+        for (name, who) in [("pause", "ada"), ("submit an order", "ada lovelace (local)")] {
+            let actions = [action(name, who, true), action(name, who, false)];
+            let shown = table(&actions, &BTreeMap::new()).at_width(80).to_string();
+            assert!(shown.lines().all(|line| line.chars().count() <= 80), "{shown}");
+            let words = shown.split_whitespace().collect::<Vec<_>>().join(" ");
+            assert!(words.contains(&format!("{why}; {refused}")), "{shown}");
+            assert!(!shown.contains('…'), "{shown}");
+        }
     }
-    Ok(())
 }

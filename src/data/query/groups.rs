@@ -118,17 +118,21 @@ impl Grouping {
                     FRAME_PLACES.join(", ")
                 ));
             }
-            sql += "voltages WHERE sim_voltage_v IS NOT NULL";
-            // The engine applies a condition on a column of `voltages` before a frame becomes rows, and a selection of
-            // trials afterwards: of 10,000 frames the rows do not fit into its memory.
+            // The engine applies a condition on a column of `voltages` before a frame becomes rows. For other
+            // conditions it joins the rows as they come; IN with a subquery would hold all rows: of 10,000 frames
+            // they do not fit into its memory.
             let (of_voltages, of_trials): (Vec<String>, Vec<String>) =
                 conditions.iter().cloned().partition(|condition| is_of_voltages(condition));
-            for condition in of_voltages {
-                sql += &format!(" AND {condition}");
-            }
+            sql += "voltages";
             if !of_trials.is_empty() {
                 let trials = filter(&of_trials);
-                sql += &format!(" AND trial_id IN (SELECT trial_id FROM trials{trials})");
+                sql += &format!(
+                    " SEMI JOIN (SELECT trial_id FROM trials{trials}) AS selected USING (trial_id)"
+                );
+            }
+            sql += " WHERE sim_voltage_v IS NOT NULL";
+            for condition in of_voltages {
+                sql += &format!(" AND {condition}");
             }
         } else {
             sql += &(quoted(table) + &filter(conditions));
@@ -301,14 +305,15 @@ mod tests {
         let by_pair = grouping(&[("group_by", "pair"), ("agg", "fvu,count")]).unwrap();
         let sql = by_pair.sql("trials", &["tips = 4".to_owned()], 9).unwrap();
         assert!(sql.starts_with("SELECT pair AS pair, AVG(POWER("), "{sql}");
-        let of = "AS fvu, COUNT(*) AS count FROM voltages WHERE sim_voltage_v IS NOT NULL AND trial_id IN \
-                  (SELECT trial_id FROM trials WHERE tips = 4) GROUP BY pair";
+        let of = "AS fvu, COUNT(*) AS count FROM voltages SEMI JOIN (SELECT trial_id FROM trials WHERE tips = 4) \
+                  AS selected USING (trial_id) WHERE sim_voltage_v IS NOT NULL GROUP BY pair";
         assert!(sql.contains(of), "{sql}");
         let run = "scan_id = 2".to_owned();
         let sql = by_pair.sql("trials", std::slice::from_ref(&run), 9).unwrap();
         assert!(sql.contains("IS NOT NULL AND scan_id = 2 GROUP BY pair"), "{sql}");
         let sql = by_pair.sql("trials", &[run, "tips = 4".to_owned()], 9).unwrap();
-        let of = "scan_id = 2 AND trial_id IN (SELECT trial_id FROM trials WHERE tips = 4) GROUP";
+        let of = "trials WHERE tips = 4) AS selected USING (trial_id) WHERE sim_voltage_v IS NOT NULL AND \
+                  scan_id = 2 GROUP BY pair";
         assert!(sql.contains(of), "{sql}");
         let wrong = |pairs: &[(&str, &str)], table| grouping(pairs).unwrap().sql(table, &[], 9);
         for (pairs, table) in [

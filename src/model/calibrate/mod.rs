@@ -4,12 +4,13 @@
 //! PURE. Uses: sim-core, `problem`. Never: files (text in, text out), simulation in bulk.
 //!
 //! `text -> table -> (piezo | foam, by regression) -> Calibration`, `frames -> accuracy`, `plot`;
-//! `trials -> skin -> Calibration`, `skin_plot`.
+//! `trials -> skin -> judgement, Calibration`, `skin_plot`.
 
 use sim_core::calibration::Accuracy;
 use sim_core::responses::ResponsesError;
 use sim_core::sensor::SensorError;
 
+use self::judgement::Judgement;
 use crate::problem::Problem;
 
 pub mod table;
@@ -18,6 +19,7 @@ pub mod piezo;
 pub mod foam;
 pub mod frames;
 pub mod plot;
+pub mod judgement;
 pub mod skin;
 pub mod skin_plot;
 #[cfg(test)]
@@ -34,11 +36,8 @@ pub enum CalibrateError {
     Surface(#[from] ResponsesError),
     #[error("fitting moduli: {0}")]
     Sensor(#[from] SensorError),
-    #[error(
-        "the fit is not better than its start and is not stored: median FVU of held-out trials \
-         {before:.3} before, {after:.3} after; use more trials (--trials) at more positions"
-    )]
-    NoBetter { before: f64, after: f64 },
+    #[error("{}", .0.refusal())]
+    NoBetter(Judgement),
     #[error("drawing the plot: {0}")]
     Plot(String),
 }

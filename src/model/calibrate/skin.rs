@@ -1,6 +1,6 @@
 //! From a run's trials to a calibrated skin: the selection of trials, the fit, and its accuracy on
 //! held-out trials.
-//! PURE. Uses: sim-core's `inverse::skin`, sha2. Never: files, requests for trials.
+//! PURE. Uses: `judgement`, sim-core's `inverse::skin`, sha2. Never: files, requests for trials.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -14,6 +14,7 @@ use sim_core::responses::UnitResponses;
 use sim_core::sensor::Sensor;
 use sim_core::skin::{SkinCalibration, SkinEvidence, rounded};
 
+use super::judgement::{Judgement, judge};
 use crate::digest::Hashing;
 use crate::ids::RunUid;
 use crate::record::Label;
@@ -25,6 +26,8 @@ pub const HELD_OUT_IN: u64 = 5;
 const UNTOUCHED: usize = 200;
 /// Smallest number of trials for a fit.
 pub const LEAST_TRIALS: usize = 50;
+/// Smallest number of held-out trials: of fewer a single one judges the fit.
+pub const LEAST_HELD_OUT: usize = 5;
 /// Sides of a stratum: position, mm, and force, N.
 const STRATUM_MM: f64 = 90.0;
 const STRATUM_N: f64 = 10.0;
@@ -139,6 +142,8 @@ pub struct CalibratedSkin {
     pub before: Vec<f64>,
     /// FVU of each held-out trial after the fit.
     pub after: Vec<f64>,
+    /// Whether the fit is better than its start, by these.
+    pub judgement: Judgement,
     /// Number of fitted parameters.
     pub parameters: usize,
     /// Cost before the first step and after each that was kept; it may rise where electrodes were moved.
@@ -151,7 +156,7 @@ pub struct CalibratedSkin {
 pub enum SkinError {
     #[error(
         "run {run}: {fitted} trials to fit and {held_out} of other configurations to hold out; a \
-         skin needs at least {LEAST_TRIALS} and 1"
+         skin needs at least {LEAST_TRIALS} and {LEAST_HELD_OUT}"
     )]
     TooFew { run: RunUid, fitted: usize, held_out: usize },
     #[error(transparent)]
@@ -171,7 +176,7 @@ pub fn calibrate(
     options: &SkinFitOptions,
     progress: &mut dyn FnMut(SkinProgress),
 ) -> Result<CalibratedSkin, SkinError> {
-    if fitted.len() < LEAST_TRIALS || held_out.is_empty() {
+    if fitted.len() < LEAST_TRIALS || held_out.len() < LEAST_HELD_OUT {
         let (fitted, held_out) = (fitted.len(), held_out.len());
         return Err(SkinError::TooFew { run: source.run, fitted, held_out });
     }
@@ -196,7 +201,8 @@ pub fn calibrate(
         after: of(&after),
     };
     let skin = SkinCalibration { offsets_mv, evidence, electrodes, fields };
-    Ok(CalibratedSkin { skin, before, after, parameters, costs })
+    let judgement = judge(&before, &after);
+    Ok(CalibratedSkin { skin, before, after, judgement, parameters, costs })
 }
 
 /// sha256 over contacts and frames, in order.

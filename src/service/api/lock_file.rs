@@ -89,7 +89,8 @@ impl LockFile {
             ErtConfig::Tcp { address, .. } => address,
             ErtConfig::Serial { path, .. } => path,
         };
-        let lines = rig.bench().into_iter().flat_map(|bench| bench.lines.values().map(wire));
+        let lines =
+            rig.bench().into_iter().flat_map(|bench| bench.lines.values().map(LineConfig::port));
         let mut wires: Vec<&str> = lines.chain([stream.as_str()]).collect();
         wires.sort_unstable();
         // Several lines may have one wire.
@@ -129,14 +130,6 @@ impl LockFile {
     pub(super) fn note_no_rig(&mut self) {
         // Without the note others are refused.
         let _ = writeln!(self.file, "{NO_RIG}");
-    }
-}
-
-/// Address of a wire.
-fn wire(line: &LineConfig) -> &str {
-    match line {
-        LineConfig::ModbusTcp { address, .. } => address,
-        LineConfig::ModbusRtu { path, .. } => path,
     }
 }
 

@@ -21,6 +21,7 @@ use crate::ids::{CalibrationId, ModelId, PromotedId};
 use crate::infer::registry::{NewModel, facts};
 use crate::infer::serving::Promotions;
 use crate::infer::slot::Slot;
+use crate::jobs::warnings_of;
 use crate::learn::model_file::{Manifest, ModelFacts, manifest_for_foreign, manifest_with_id};
 use crate::learn::residuals::Residuals;
 use crate::learn::task::NetTask;
@@ -50,6 +51,9 @@ pub struct ModelOut {
     /// Reports of its evaluations, newest first.
     #[schema(value_type = Vec<Object>)]
     pub scores: Vec<Value>,
+    /// Warnings of its training, oldest first.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub warnings: Vec<String>,
 }
 
 /// Request to promote a model or a calibration.
@@ -344,6 +348,7 @@ fn is_score(task: &str, report: &Value) -> bool {
 async fn out(app: &App, row: ModelRow, promotions: &Promotions) -> ApiResult<ModelOut> {
     let manifest: toml::Table = toml::from_str(&row.manifest).unwrap_or_default();
     let promoted = Some(PromotedId::Model(row.id.clone()));
+    let training = app.store.training_of(&row.id).await?.and_then(|job| job.result);
     let reports = app.store.evaluations_of(&row.id).await?.into_iter().filter_map(|job| job.result);
     let scores = reports.filter(|report| is_score(&row.task, report));
     let facts = manifest.get("model");
@@ -353,6 +358,7 @@ async fn out(app: &App, row: ModelRow, promotions: &Promotions) -> ApiResult<Mod
         serves: Slot::ALL.iter().any(is_at),
         manifest: serde_json::to_value(facts).unwrap_or_default(),
         scores: scores.collect(),
+        warnings: training.as_ref().map(warnings_of).unwrap_or_default(),
         id: row.id,
         name: row.name,
         slot: NetTask::deserialize(json!(row.task)).ok().map(Slot::of),

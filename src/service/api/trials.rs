@@ -121,11 +121,29 @@ async fn page(
 #[utoipa::path(get, operation_id = "trial_groups", path = "/api/v1/trials/groups", tag = "trials",
     params(TrialGroupParams), responses((status = 200, body = Page<Object>),
         (status = 503, description = "as of queries (with `Retry-After`)")))]
-pub async fn groups(app: App, Query(pairs): Pairs, headers: HeaderMap) -> ApiResult<Response> {
+pub async fn groups(app: App, Query(mut pairs): Pairs, headers: HeaderMap) -> ApiResult<Response> {
+    number_runs(&app, &mut pairs).await?;
     let GroupsRequest { query, groups, format } =
         groups_query(&pairs, GroupsOf::StoredTrials).map_err(ApiError::bad_query)?;
     let sql = groups.sql("trials", &groups::conditions(&query), query.limit);
     grouped(&app, sql, accept::of_list(format, &pairs, &headers)?).await
+}
+
+/// Replaces the uid of a run by its number, which frames have, too: those of other runs are then not read.
+///
+/// # Errors
+/// Those of the store.
+async fn number_runs(app: &App, pairs: &mut [(String, String)]) -> ApiResult<()> {
+    for (key, value) in pairs {
+        if key.as_str() == "run"
+            && let Ok(uid) = value.parse::<RunUid>()
+            && let Some(run) = app.store.run(uid).await?
+        {
+            *key = "scan_id".to_owned();
+            *value = run.scan_id.to_string();
+        }
+    }
+    Ok(())
 }
 
 /// The groups of a statement, as a page.

@@ -92,6 +92,8 @@ pub struct Judged {
     pub felt: Option<Felt>,
     /// Verdict on the newest frames, with its reasons.
     pub verdict: Verdict,
+    /// Verdict of the last inference; `None` before the first.
+    inferred: Option<Verdict>,
     /// Time at which the first frame of the verdict arrived; `None` if it needed no frame.
     since: Option<Instant>,
 }
@@ -110,7 +112,24 @@ impl Judged {
             at_rest: None,
             felt: None,
             verdict,
+            inferred: None,
             since: None,
+        }
+    }
+
+    /// Verdict on a confirmation if the skin was not judged again within `limit`: what it contradicted when it was last
+    /// judged is still contradicted.
+    fn without_answer(&self, limit: Duration) -> Verdict {
+        let limit_s = limit.as_secs();
+        match self.inferred.clone().filter(|last| last.kind == VerdictKind::Wrong) {
+            Some(mut wrong) => {
+                wrong.words.push(format!("the skin was not judged again within {limit_s} s"));
+                wrong
+            }
+            None => {
+                let why = format!("the skin was not judged within {limit_s} s: check its frames");
+                Verdict::without(VerdictKind::Unsure, why)
+            }
         }
     }
 }
@@ -142,17 +161,17 @@ impl PlacementWatch {
         self.inner.judged.borrow().clone()
     }
 
-    /// Judges an awaited placement from frames that arrive from now on. `Unsure` if that takes too
-    /// long, `Unknown` if no method serves.
+    /// Judges an awaited placement from frames that arrive from now on. If that takes too long, `Wrong` where the last
+    /// verdict was, otherwise `Unsure`; `Unknown` if no method serves.
     pub async fn judge_now(&self, run: RunUid, trial: u32) -> Verdict {
         if self.inner.serving.current().best().is_none() {
             return Verdict::without(VerdictKind::Unknown, NOBODY_SERVES);
         }
-        self.next_verdict(run, trial).await
+        self.next_verdict(run, trial, VERDICT_WITHIN).await
     }
 
-    /// The verdict on frames that arrive from now on.
-    async fn next_verdict(&self, run: RunUid, trial: u32) -> Verdict {
+    /// The verdict on frames that arrive from now on, awaited for `limit`.
+    async fn next_verdict(&self, run: RunUid, trial: u32, limit: Duration) -> Verdict {
         let mut judged = self.inner.judged.subscribe();
         // A second confirmation waits for the verdict of the first: it must not delay it.
         let mut from = Instant::now();
@@ -166,21 +185,19 @@ impl PlacementWatch {
                 true
             }
         });
+        let is_asked = |judged: &Judged| judged.run == run && judged.trial == trial;
         let is_judged = |judged: &Option<Judged>| {
-            let judged = judged.as_ref().filter(|j| j.run == run && j.trial == trial);
+            let judged = judged.as_ref().filter(|judged| is_asked(judged));
             judged.is_some_and(|j| j.since.is_some_and(|since| since >= from))
         };
-        let found = timeout(VERDICT_WITHIN, judged.wait_for(is_judged)).await;
+        let found = timeout(limit, judged.wait_for(is_judged)).await;
         let found = found.ok().and_then(Result::ok).and_then(|judged| judged.clone());
         self.inner.demand.send_if_modified(|demand| demand.take_if(|d| *d == from).is_some());
-        found.map_or_else(
-            || {
-                let limit_s = VERDICT_WITHIN.as_secs();
-                let why = format!("the skin was not judged within {limit_s} s: check its frames");
-                Verdict::without(VerdictKind::Unsure, why)
-            },
-            |judged| judged.verdict,
-        )
+        match (found, self.judged().filter(is_asked)) {
+            (Some(judged), _) => judged.verdict,
+            (None, Some(last)) => last.without_answer(limit),
+            (None, None) => Verdict::without(VerdictKind::Unsure, NOT_READ),
+        }
     }
 
     /// The untouched skin that was measured last in a run.
@@ -324,6 +341,7 @@ impl<'a> Follower<'a> {
         let Some(reading) = answered.readings.into_iter().next() else { return };
         let judged = &mut self.judged;
         judged.verdict = judge(&judged.asked, &reading, at_rest, self.sensor.as_deref());
+        judged.inferred = Some(judged.verdict.clone());
         judged.felt = Some(Felt { method, model: answered.model, contacts: reading.contacts });
         judged.since = Some(since);
     }
@@ -398,11 +416,35 @@ mod tests {
                 publish(now_mm, Instant::now());
             };
             // In this order at each turn: the confirmation reads what was before.
-            let (verdict, ()) = tokio::join!(biased; watch.next_verdict(awaited.run, 3), follow);
+            let (verdict, ()) =
+                tokio::join!(biased; watch.next_verdict(awaited.run, 3, VERDICT_WITHIN), follow);
             kinds.push(verdict.kind);
             assert_eq!(*watch.inner.demand.borrow(), None, "no person waits any more");
         }
         assert_eq!(kinds, [VerdictKind::Wrong, VerdictKind::Right]);
+    }
+
+    #[tokio::test]
+    async fn without_an_answer_what_was_wrong_stays_wrong() {
+        let (watch, _folder) = scripted().await;
+        let contacts = vec![PlacedContact { x_mm: 100.0, y_mm: 80.0, force_n: 4.905 }];
+        let awaited = Awaited { run: RunUid::new(), trial: 3, contacts };
+        let verdict =
+            async |trial| watch.next_verdict(awaited.run, trial, Duration::from_millis(10)).await;
+        assert_eq!(verdict(3).await.kind, VerdictKind::Unsure, "no frame was read");
+        let mut judged = Judged::unread(&awaited);
+        for (last, kind) in
+            [(VerdictKind::Wrong, VerdictKind::Wrong), (VerdictKind::Right, VerdictKind::Unsure)]
+        {
+            judged.inferred = Some(Verdict::without(last, "weight 1 is felt elsewhere"));
+            // A hand came after it: the verdict that is shown is another.
+            judged.verdict = Verdict::without(VerdictKind::Unsure, "the skin is not at rest");
+            watch.inner.judged.send_replace(Some(judged.clone()));
+            let without_answer = verdict(3).await;
+            assert_eq!(without_answer.kind, kind, "{without_answer:?}");
+            assert!(without_answer.words.concat().contains("within 0 s"), "{without_answer:?}");
+            assert_eq!(verdict(4).await.kind, VerdictKind::Unsure, "another placement");
+        }
     }
 
     #[test]

@@ -72,8 +72,8 @@ pub struct TaskRow {
     pub state: TaskState,
     /// Id of the dataset; absent until it is known.
     pub dataset: Option<DatasetId>,
-    /// The result: `{"model": id, "name": ..}` of a training, an EvaluationReport of an evaluation. Absent until it is
-    /// done.
+    /// The result: `{"model": id, "name": ..}` of a training, with `"warnings": [..]` if there were any, an
+    /// EvaluationReport of an evaluation. Absent until it is done.
     #[schema(value_type = Option<Object>)]
     pub result: Option<Value>,
     /// Cause of the failure; absent unless it failed.
@@ -254,5 +254,19 @@ impl Store {
         )
         .bind(model.as_str());
         self.rows("reading a model's evaluations", query, TaskRow::read).await
+    }
+
+    /// Returns the newest completed training of this model; `None` if it was added, or trained elsewhere.
+    ///
+    /// # Errors
+    /// `Sql` or `Unreadable` if the read fails.
+    pub async fn training_of(&self, model: &ModelId) -> StoreResult<Option<TaskRow>> {
+        let query = sqlx::query(
+            "SELECT * FROM tasks WHERE kind = 'training' AND state = 'done'
+                 AND json_extract(result, '$.model') = ?1
+             ORDER BY id DESC LIMIT 1",
+        )
+        .bind(model.as_str());
+        self.row("reading a model's training", query, TaskRow::read).await
     }
 }

@@ -84,6 +84,19 @@ async fn each_kind_is_listed_in_the_order_of_the_requests() {
 }
 
 #[tokio::test]
+async fn the_newest_training_of_a_model_is_found() {
+    let (_folder, store) = fresh().await;
+    for model in ["mdl-1", "mdl-1", "mdl-2"] {
+        let training = created(&store, TaskKind::Training).await.id;
+        store.end_task(training, TaskEnd::Done(json!({ "model": model }))).await.unwrap();
+    }
+    let ended = store.tasks(TaskKind::JOBS, 10, None).await.unwrap();
+    let of = async |model: &str| store.training_of(&model.parse().unwrap()).await.unwrap();
+    assert_eq!(of("mdl-1").await.as_ref(), Some(&ended[1]));
+    assert_eq!(of("mdl-3").await, None);
+}
+
+#[tokio::test]
 async fn the_evaluations_of_a_model_are_found() {
     let (_folder, store) = fresh().await;
     let evaluation = created(&store, TaskKind::Evaluation).await.id;

@@ -13,6 +13,9 @@ use crate::store::TaskState;
 /// Name of the file that marks the folder of a stopped or killed training.
 const KILLED: &str = "killed";
 
+/// Name of the file with the warnings of a training, JSON: they are in its result, also if it resumed.
+pub const WARNINGS: &str = "warnings.json";
+
 /// Checkpoints of other trainings that are kept.
 const OTHERS_KEPT: usize = 2;
 
@@ -67,13 +70,17 @@ fn marked(jobs: &Path) -> Vec<PathBuf> {
     folders.map(|folder| folder.path()).filter(|folder| is_kept(folder)).collect()
 }
 
-/// The losses are copied first: without them, the model's curve would begin at the checkpoint.
+/// Losses and warnings are copied first: the model's curve would begin at the checkpoint, and a training that resumes
+/// does not repeat its warnings.
 fn take(from: &Path, to: &Path) -> io::Result<()> {
     if !from.join(CHECKPOINT).exists() {
         return Err(io::ErrorKind::NotFound.into());
     }
     let losses = fs::read(from.join(LOSSES)).unwrap_or_default();
     new_file::write(to, LOSSES, losses)?;
+    if let Ok(warnings) = fs::read(from.join(WARNINGS)) {
+        new_file::write(to, WARNINGS, warnings)?;
+    }
     fs::rename(from.join(CHECKPOINT), to.join(CHECKPOINT))?;
     fs::remove_file(from.join(KILLED))
 }
@@ -91,6 +98,7 @@ mod tests {
         for (folder, text) in [(&first, "1"), (&second, "2"), (&third, "3"), (&fourth, "4")] {
             new_file::write(folder, CHECKPOINT, text).unwrap();
             new_file::write(folder, LOSSES, text).unwrap();
+            new_file::write(folder, WARNINGS, text).unwrap();
             assert!(keep(folder));
         }
         let mut kept = marked(jobs);
@@ -99,7 +107,7 @@ mod tests {
         assert!(!first.join(CHECKPOINT).exists() && first.join(LOSSES).exists());
         take(&second, &new).unwrap();
         let read = |name: &str| fs::read_to_string(new.join(name)).unwrap();
-        assert_eq!([read(CHECKPOINT), read(LOSSES)], ["2", "2"]);
+        assert_eq!([CHECKPOINT, LOSSES, WARNINGS].map(read), ["2"; 3]);
         assert!(!is_kept(&second) && second.join(LOSSES).exists());
         assert!(take(&second, &new).is_err());
         assert!(!keep(&second), "it has no checkpoint");

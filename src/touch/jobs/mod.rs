@@ -38,7 +38,7 @@ mod watch_job;
 
 pub use error::{JobError, JobResult};
 pub use training::TrainingRequest;
-pub use watch_job::{Progress, Watch};
+pub use watch_job::{Progress, Watch, warnings_of};
 
 /// Largest number of waiting jobs.
 const WAITING_JOBS_MAX: u32 = 1000;
@@ -177,8 +177,11 @@ impl Jobs {
             Ok(Some(result)) => TaskEnd::Done(result),
             Ok(None) => TaskEnd::Stopped,
             Err(error) => {
-                tracing::warn!(error = error_chain(&error), "a job has failed");
-                TaskEnd::Failed(error.to_string())
+                // The record of the job has the cause for those who requested it: a command that started this service
+                // would report it twice.
+                let error = error_chain(&error);
+                tracing::info!(error, "a job has failed");
+                TaskEnd::Failed(error)
             }
         }
     }

@@ -11,7 +11,7 @@ use serde_json::{Value, json};
 use utoipa::ToSchema;
 
 use super::error::{JobError, JobResult};
-use super::kept;
+use super::kept::{self, WARNINGS};
 use super::starts::Starts;
 use super::trainer::{self, Ended};
 use super::{Jobs, Watch};
@@ -53,11 +53,13 @@ pub struct TrainingRequest {
 /// `JobError` if the dataset, the training or the storage of the model fails.
 pub async fn run(jobs: &Jobs, job: &TaskRow, watch: &Arc<Watch>) -> JobResult<Option<Value>> {
     let folder = jobs.folder(job.id);
+    recall_warnings(&folder, watch);
     let (recipe, order) = prepare(jobs, job, watch, &folder).await?;
     let text = serde_json::to_string(&order).map_err(JobError::Json)?;
     kept::unmark(&folder);
     if !folder.join(CHECKPOINT).exists() {
         kept::adopt(jobs, &folder, &text).await;
+        recall_warnings(&folder, watch);
     }
     write(&folder, ORDER, text.as_bytes())?;
     let Some(program) = trainer::path(watch).await? else { return Ok(None) };
@@ -66,7 +68,8 @@ pub async fn run(jobs: &Jobs, job: &TaskRow, watch: &Arc<Watch>) -> JobResult<Op
     }
     watch.phase("starting the trainer", 0);
     let starts = Starts::of(&folder);
-    let ended = trainer::run(&program, &folder, watch, |event| show(event, watch, &starts)).await;
+    let seen = |event| show(event, &folder, watch, &starts);
+    let ended = trainer::run(&program, &folder, watch, seen).await;
     if let Err(trainer::TrainerError::Ended(end)) = &ended
         && end.signal.is_some()
     {
@@ -78,7 +81,29 @@ pub async fn run(jobs: &Jobs, job: &TaskRow, watch: &Arc<Watch>) -> JobResult<Op
     watch.phase("storing the model", 0);
     let new = background(move || result(&folder, &order, recipe.name)).await??;
     let model = jobs.inner.models.add(new).await?;
-    Ok(Some(json!({ "model": model.id, "name": model.name })))
+    let mut made = json!({ "model": model.id, "name": model.name });
+    let warnings = watch.warnings();
+    if !warnings.is_empty() {
+        made["warnings"] = warnings.into();
+    }
+    Ok(Some(made))
+}
+
+/// Adds a warning of a training, and keeps it for a later start.
+fn warn(folder: &Path, watch: &Watch, message: String) {
+    tracing::info!(warning = message, "a training warns");
+    watch.warn(message);
+    let kept = json!(watch.warnings()).to_string();
+    if let Err(error) = new_file::write(folder, WARNINGS, kept) {
+        tracing::warn!(%error, "the warnings of a training are not kept");
+    }
+}
+
+/// Adds the warnings of earlier starts of a training.
+fn recall_warnings(folder: &Path, watch: &Watch) {
+    let kept = fs::read_to_string(folder.join(WARNINGS)).ok();
+    let warnings: Option<Vec<String>> = kept.and_then(|text| serde_json::from_str(&text).ok());
+    warnings.into_iter().flatten().for_each(|message| watch.warn(message));
 }
 
 /// Resolves the names of a recipe, as at the first start of the job, and makes its dataset.
@@ -148,12 +173,12 @@ async fn prepare(
         recipe.map = recipe.map.map(|map| map.on_skin(skin_mm));
     }
     if let Some(map) = recipe.map.filter(|map| map.side_mm > 2.0 * skin_mm) {
-        tracing::warn!(
-            %map,
-            sensor = %skin.name,
-            "most of the map is beyond the skin: state the side of its square, mm, as in {}",
+        let message = format!(
+            "map = {map}: most of it is beyond the skin of the sensor {}; state the side of its square, mm, as in {}",
+            skin.name,
             map.on_skin(skin_mm)
         );
+        warn(folder, watch, message);
     }
     let order = Order {
         version: ORDER_VERSION.into(),
@@ -196,7 +221,7 @@ pub(super) fn absolute(path: &Path) -> PathBuf {
 }
 
 /// Shows an event of the trainer in the job's progress.
-fn show(event: Event, watch: &Watch, starts: &Starts) {
+fn show(event: Event, folder: &Path, watch: &Watch, starts: &Starts) {
     match event {
         Event::Phase { phase, total } => watch.phase(&phase, total),
         Event::Learned { done, total, new, elapsed_s, epoch, train_loss, validation_loss } => {
@@ -210,7 +235,7 @@ fn show(event: Event, watch: &Watch, starts: &Starts) {
             watch.done(done, new, elapsed.max(Duration::from_millis(1)));
         }
         Event::Checkpoint => starts.got_on(),
-        Event::Warning { message } => tracing::warn!(message, "the trainer warns"),
+        Event::Warning { message } => warn(folder, watch, message),
         // The process's end reports these.
         Event::Done | Event::Stopped | Event::Failed { .. } => {}
     }
@@ -257,4 +282,25 @@ fn write(folder: &Path, name: &str, bytes: &[u8]) -> Result<(), LearnError> {
 pub(super) fn code() -> String {
     let commit = crate::commit::known().unwrap_or("unknown");
     format!("palpate {} {commit}", env!("CARGO_PKG_VERSION"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_training_that_resumes_keeps_its_warnings() {
+        let folder = tempfile::tempdir().unwrap();
+        let starts = Starts::of(folder.path());
+        let begin = |message: &str| {
+            let watch = Watch::default();
+            recall_warnings(folder.path(), &watch);
+            show(Event::Warning { message: message.into() }, folder.path(), &watch, &starts);
+            watch.progress().warnings
+        };
+        let [map, constant] = ["the map is large", "3 of 9 channels are constant"];
+        assert_eq!(begin(map), [map]);
+        assert_eq!(begin(constant), [map, constant]);
+        assert_eq!(begin(map), [map, constant]);
+    }
 }

@@ -1,11 +1,12 @@
 //! Progress of a running job, and requests to stop it.
-//! Uses: std. Never: its own clock (times are passed in).
+//! Uses: std, serde. Never: its own clock (times are passed in).
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use parking_lot::Mutex;
 use serde::{Deserialize, Serialize};
+use serde_json::Value;
 use utoipa::ToSchema;
 
 /// Progress of a job.
@@ -32,6 +33,14 @@ pub struct Progress {
     /// Loss of the last validation.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub validation_loss: Option<f64>,
+    /// Warnings of the job, oldest first, of all phases.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub warnings: Vec<String>,
+}
+
+/// Returns the warnings in the result of a job, oldest first.
+pub fn warnings_of(result: &Value) -> Vec<String> {
+    Vec::deserialize(&result["warnings"]).unwrap_or_default()
 }
 
 /// Shared state of a running job.
@@ -39,6 +48,7 @@ pub struct Progress {
 pub struct Watch {
     stop: AtomicBool,
     progress: Mutex<Progress>,
+    warnings: Mutex<Vec<String>>,
 }
 
 impl Watch {
@@ -54,7 +64,21 @@ impl Watch {
 
     /// Returns the newest progress of the job.
     pub fn progress(&self) -> Progress {
-        self.progress.lock().clone()
+        let progress = self.progress.lock().clone();
+        Progress { warnings: self.warnings(), ..progress }
+    }
+
+    /// Adds a warning, once.
+    pub fn warn(&self, message: String) {
+        let mut warnings = self.warnings.lock();
+        if !warnings.contains(&message) {
+            warnings.push(message);
+        }
+    }
+
+    /// Returns the warnings of the job, oldest first.
+    pub fn warnings(&self) -> Vec<String> {
+        self.warnings.lock().clone()
     }
 
     /// Begins a phase.
@@ -82,6 +106,20 @@ impl Watch {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn warnings_stay_in_later_phases_and_are_not_repeated() {
+        let watch = Watch::default();
+        watch.phase("gathering frames", 0);
+        for message in ["a channel is constant", "the map is large", "a channel is constant"] {
+            watch.warn(message.into());
+        }
+        watch.phase("training", 0);
+        let warnings = watch.progress().warnings;
+        assert_eq!(warnings, ["a channel is constant", "the map is large"]);
+        assert_eq!(warnings_of(&serde_json::json!({ "warnings": warnings })), warnings);
+        assert!(warnings_of(&serde_json::json!({ "model": "mdl-1" })).is_empty());
+    }
 
     #[test]
     fn what_is_left_follows_from_what_this_run_did() {

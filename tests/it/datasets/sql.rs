@@ -213,6 +213,26 @@ async fn groups_and_orders_follow_from_the_parameters_of_filters(lab: &Filled) {
     let fvu = format!("SELECT {squares} / (variance(voltage_v) * (count(*) - 1)) AS n {of}");
     let [found, wanted] = [&pairs[3]["fvu"], &number(lab, &fvu).await].map(|n| n.as_f64().unwrap());
     assert!((found / wanted - 1.0).abs() < 1e-3, "{found} {wanted}");
+    // Of the trials that meet conditions, against the voltages of these trials by their ids; the last has no twin.
+    let deep = "SELECT trial_id FROM trials WHERE scan_id = 1 AND depth_mm > 4.9";
+    let deep = ask(lab, deep).await;
+    let ids: Vec<String> =
+        deep.as_array().unwrap().iter().map(|row| row["trial_id"].to_string()).collect();
+    let of = format!(
+        "FROM voltages WHERE trial_id IN ({}) AND pair = 3 AND sim_voltage_v IS NOT NULL",
+        ids.join(", ")
+    );
+    let fvu = format!("SELECT {squares} / (variance(voltage_v) * (count(*) - 1)) AS n {of}");
+    let wanted = number(lab, &fvu).await.as_f64().unwrap();
+    let run = lab.get("/api/v1/runs/1").await;
+    for run in ["scan_id=1".to_owned(), format!("run={}", run["uid"].as_str().unwrap())] {
+        let path = format!("{run}&depth_mm__gt=4.9&group_by=pair&agg=fvu,count");
+        let pairs = lab.items(&format!("/api/v1/trials/groups?{path}")).await;
+        assert_eq!(pairs.len(), 28, "{path}");
+        assert_eq!(pairs[3]["count"], json!(29 * 28), "{path}");
+        let found = pairs[3]["fvu"].as_f64().unwrap();
+        assert!((found / wanted - 1.0).abs() < 1e-3, "{path}: {found} {wanted}");
+    }
     // One of several conditions.
     let either = "/api/v1/trials/groups?agg=count&contact_count=3|depth_mm__gt=4.9";
     assert_eq!(lab.get(either).await["items"], json!([{ "count": 34 }]));

@@ -1,9 +1,8 @@
 //! The virtual operator: a process that does what a run requests from a person (mounts tips, places
 //! weights) and confirms it over the public API of the service.
-//! Uses: reqwest, the control socket of the rig. Never: internals of the service, wires of the rig.
+//! Uses: reqwest, the control socket of the rig, sim-core's sensor. Never: internals of the service, wires of the rig.
 
 use std::io::{self, Write};
-use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -12,6 +11,7 @@ use rustls::crypto::ring;
 use rustls::{ClientConfig, RootCertStore};
 use serde::Deserialize;
 use serde_json::{Value, json};
+use sim_core::sensor::Sensor;
 use tokio::io::{AsyncBufReadExt, AsyncWriteExt, BufReader};
 use tokio::net::TcpStream;
 use tokio::time::timeout;
@@ -61,9 +61,6 @@ pub struct OperatorArgs {
     /// Seed of the mistakes.
     #[arg(long, value_name = "N", default_value_t = 1)]
     pub seed: u64,
-    /// Sensor file with the points for mistakes.
-    #[arg(long, value_name = "FILE")]
-    pub sensor: Option<PathBuf>,
     /// End when standard input closes, that is when the parent process ends.
     #[arg(long)]
     pub with_parent: bool,
@@ -150,11 +147,12 @@ impl Run {
     }
 }
 
-/// Works until a signal, until the parent ends, or until the service has not replied for 10 s.
+/// Works until a signal, until the parent ends, or until the service has not replied for 10 s. `sensor`: has the points
+/// for mistakes.
 ///
 /// # Errors
 /// The runtime, the signal handlers or the HTTP client cannot be created; `Away` if the service did not reply.
-pub fn operator_main(args: OperatorArgs) -> Result<(), OperatorError> {
+pub fn operator_main(args: OperatorArgs, sensor: Option<&Sensor>) -> Result<(), OperatorError> {
     let runtime = tokio::runtime::Builder::new_current_thread()
         .enable_all()
         .build()
@@ -162,7 +160,7 @@ pub fn operator_main(args: OperatorArgs) -> Result<(), OperatorError> {
     runtime.block_on(async {
         let ended = end_of_life(args.with_parent)?;
         let key = std::env::var(KEY_VARIABLE).ok();
-        let mut operator = Operator::new(args, key)?;
+        let mut operator = Operator::new(args, sensor, key)?;
         tokio::select! {
             () = ended => Ok(()),
             away = operator.work(AWAY_MAX) => Err(away),
@@ -185,7 +183,11 @@ struct Operator {
 }
 
 impl Operator {
-    fn new(args: OperatorArgs, key: Option<String>) -> Result<Self, OperatorError> {
+    fn new(
+        args: OperatorArgs,
+        sensor: Option<&Sensor>,
+        key: Option<String>,
+    ) -> Result<Self, OperatorError> {
         // The service is on this machine: no authority is trusted, and none is read.
         let tls = ClientConfig::builder_with_provider(Arc::new(ring::default_provider()))
             .with_safe_default_protocol_versions()
@@ -194,7 +196,7 @@ impl Operator {
             .with_no_client_auth();
         let client = reqwest::Client::builder().tls_backend_preconfigured(tls).timeout(REPLY_WAIT);
         let client = client.build().map_err(OperatorError::Client)?;
-        let hand = Hand::new(args.mistakes, args.seed, args.sensor.as_deref())?;
+        let hand = Hand::new(args.mistakes, args.seed, sensor)?;
         let (control, confirmed, tared, refused) = (None, None, None, None);
         let weights_down = false;
         Ok(Self { args, key, client, control, weights_down, confirmed, tared, hand, refused })

@@ -78,7 +78,7 @@ async fn it_does_what_the_run_asks_says_so_and_goes_home() {
     let url = service(requests, Arc::clone(&heard)).await;
     let who = "virtual operator".to_owned();
     let args = OperatorArgs { speed: 20.0, who, ..args(url.clone(), control) };
-    let mut operator = Operator::new(args, Some("k".into())).unwrap();
+    let mut operator = Operator::new(args, None, Some("k".into())).unwrap();
     let work = operator.work(Duration::from_millis(300));
     let away = timeout(Duration::from_secs(10), work).await.unwrap().to_string();
     assert!(away.starts_with(&format!("no answer of a palpate service at {url} for ")), "{away}");
@@ -109,7 +109,6 @@ fn args(url: String, control: String) -> OperatorArgs {
         who: "virtual operator".into(),
         mistakes: 0.0,
         seed: 1,
-        sensor: None,
         with_parent: false,
     }
 }

@@ -131,7 +131,7 @@ impl Stage {
         Ok(is_on_time)
     }
 
-    /// Age of the newest sample at which z must be stopped, wall time; none unless it presses.
+    /// Age of the newest sample, from its request, at which z must be stopped, wall time; none unless it presses.
     pub(super) fn sample_age(&self, targets: &[Target]) -> Option<Duration> {
         let speed = targets.iter().find_map(|target| target.speed)?;
         // What is slower, its drive moves at its slowest.

@@ -117,8 +117,8 @@ impl Stopping {
         speed.min(rig.approach_speed_mm_s())
     }
 
-    /// Age of the newest sample, process s, at which a press at this speed must be stopped, so that the added forces stay
-    /// within their margins. A slower press has more time.
+    /// Age of the newest sample, process s from its request, at which a press at this speed must be stopped, so that the
+    /// added forces stay within their margins. A slower press has more time.
     pub fn sample_age_s(&self, rig: &RigConfig, tips: u8, speed_mm_s: f64) -> f64 {
         let brakes_s = speed_mm_s / (2.0 * rig.axes.z.rounded_mm_s2());
         rig.limits.margin_travel_mm(tips) / speed_mm_s - brakes_s - rig.cells.update_ms / 1e3

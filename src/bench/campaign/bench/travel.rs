@@ -154,17 +154,20 @@ impl Stage {
         }
         let deadline = self.clock.now() + self.clock.wall(1.5 * longest_s + 0.5) + GRACE;
         let mut sound = vec![SoundWatch::default(); targets.len()];
+        // The newest sample is as old as its request, since its reply may have been late. z may move since the start was
+        // sent.
+        let mut sampled = began;
         loop {
             control.attend()?;
             let checked_s = self.clock.process_s();
             self.require_still_clear(control, &mut clear_at).await?;
             // No press is polled like this: the stopping distance does not depend on it.
             polled_s += self.clock.process_s() - checked_s;
-            // z may move since the start was sent.
-            let sampled = self.last_sample.map_or(began, |last| last.at.max(began));
+            let asked = self.clock.now();
             let poll = self.poll_or_stop(targets, polled, age.map(|age| sampled + age));
             let (statuses, reading, is_late) =
                 self.in_time(control, self.oldest(clear_at), poll).await?;
+            sampled = asked;
             let now_s = self.clock.process_s();
             self.stopping.note_poll(now_s - polled_s);
             polled_s = now_s;

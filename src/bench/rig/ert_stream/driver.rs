@@ -82,6 +82,17 @@ impl ErtStream {
                 (serial_opener(settings), bytes * BITS_PER_BYTE / f64::from(*baud))
             }
         };
+        Self::on(opener, sending_s, config, frame_age, clock)
+    }
+
+    /// The reader of what `opener` opens; a packet needs `sending_s` on its wire, process s.
+    pub(super) fn on(
+        opener: Opener,
+        sending_s: f64,
+        config: &ErtConfig,
+        frame_age: Duration,
+        clock: Clock,
+    ) -> Result<Self, RigError> {
         let period_s = 1.0 / config.frame_rate_hz();
         let shared = Arc::new(Shared {
             tally: Mutex::default(),
@@ -194,6 +205,8 @@ fn start(reader: Reader) -> Result<JoinHandle<()>, RigError> {
                 () = shared.stop.notified() => {}
             }
         });
+        // The lookup of a name may still wait for its server.
+        runtime.shutdown_background();
     };
     std::thread::Builder::new().name("ert-reader".into()).spawn(run).map_err(failed)
 }

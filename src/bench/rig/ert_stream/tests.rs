@@ -3,7 +3,7 @@
 
 use std::io::Write;
 use std::net::{TcpListener, TcpStream};
-use std::sync::{Arc, Mutex};
+use std::sync::{Arc, Mutex, mpsc};
 use std::time::Duration;
 
 use jiff::Timestamp;
@@ -13,6 +13,7 @@ use super::*;
 use crate::clock::Clock;
 use crate::rig::config::ErtConfig;
 use crate::rig::error::RigError;
+use crate::rig::link::{Opener, Port};
 use crate::rig::traits::SkinReader;
 
 const ELECTRODES: u16 = 4;
@@ -145,4 +146,30 @@ async fn a_lost_wire_is_opened_again_and_frames_continue() {
     let closed_at = *closed_at.lock().unwrap();
     assert!(closed_at.is_some() && stream.counters().since > closed_at, "it is open since then");
     assert_eq!(stream.wire_trouble(), None);
+}
+
+#[tokio::test]
+async fn a_lookup_of_a_name_does_not_delay_the_end_of_the_reader() {
+    const TAKES: Duration = Duration::from_secs(20);
+    let (begins, begun) = mpsc::channel();
+    let opener: Opener = Box::new(move || {
+        let begins = begins.clone();
+        Box::pin(async move {
+            // As the lookup of the system, it cannot be cancelled.
+            let lookup = move || {
+                let _ = begins.send(());
+                std::thread::sleep(TAKES);
+            };
+            let _ = tokio::task::spawn_blocking(lookup).await;
+            Err::<Box<dyn Port>, _>(std::io::Error::from(std::io::ErrorKind::TimedOut))
+        })
+    });
+    let address = "rig.invalid:4001".into();
+    let config = ErtConfig::Tcp { address, electrodes: ELECTRODES, frame_rate_hz: 100.0 };
+    let age = Duration::from_secs(2);
+    let stream = ErtStream::on(opener, 0.0, &config, age, Clock::new(1.0)).unwrap();
+    begun.recv_timeout(TAKES).unwrap();
+    let ended = Instant::now();
+    drop(stream);
+    assert!(ended.elapsed() < TAKES / 2, "{:?}", ended.elapsed());
 }

@@ -164,8 +164,11 @@ impl Catalog {
         let written = match self.write_requested(export, progress).await {
             Ok(written) => written,
             Err(error) => {
-                tracing::warn!(error = error_chain(&error), "an export has failed");
-                return TaskEnd::Failed(error.to_string());
+                // The record of the export has the cause for those who requested it: a command that started this
+                // service would report it twice.
+                let error = error_chain(&error);
+                tracing::info!(error, "an export has failed");
+                return TaskEnd::Failed(error);
             }
         };
         let bytes = match tokio::fs::metadata(&written.path).await {

@@ -1,5 +1,6 @@
 //! A skin that is ready for fits: its offsets, its errors, and its readings.
-//! Uses: `skin_errors`, `rehearsal`, `untouched`, `zero`, sim-core's `inverse::contacts`. Never: files, threads.
+//! Uses: `skin_errors`, `rehearsal`, `untouched`, `zero`, `calibrate::judgement`, sim-core's `inverse::contacts`.
+//! Never: files, threads.
 
 use sim_core::forward::ForwardModel;
 use sim_core::inverse::contacts::{
@@ -10,6 +11,7 @@ use super::rehearsal::LEAST_REHEARSED;
 use super::skin_errors::{LEAST_KNOWN, SkinErrors, Stretch, grown};
 use super::untouched::{Drift, LEAST_UNTOUCHED};
 use super::zero::Zero;
+use crate::calibrate::judgement;
 use crate::ids::CalibrationId;
 use crate::infer::answer::{Alternative, FoundContact, Reading};
 use crate::infer::error::InferResult;
@@ -26,6 +28,8 @@ pub struct ExactSkin {
     calibration: Option<CalibrationId>,
     /// The run that it was calibrated to, if any.
     run: Option<String>,
+    /// How its fit is worse than the model before it, if it is.
+    pub(super) worse: Option<String>,
     /// Hash of its model.
     simulation: String,
     /// Width and height, mm.
@@ -48,9 +52,11 @@ impl ExactSkin {
     /// # Errors
     /// `InferError::Fitter` if the tables of the fit cannot be computed.
     pub fn with(model: &ForwardModel, errors: SkinErrors) -> InferResult<Self> {
+        let evidence = model.sensor().skin().map(|skin| &skin.evidence);
         Ok(Self {
             calibration: model.sensor().calibration().map(CalibrationId::unchecked),
-            run: model.sensor().skin().map(|skin| skin.evidence.run.clone()),
+            run: evidence.map(|evidence| evidence.run.clone()),
+            worse: evidence.and_then(judgement::limitation),
             simulation: model.model_hash().into(),
             size_mm: [model.sensor().file.width_mm, model.sensor().file.height_mm],
             offset_v: model.sensor().offsets_v(),
@@ -66,6 +72,14 @@ impl ExactSkin {
 
     /// What limits the answers of this skin, if anything is known to.
     pub fn limitation(&self) -> Option<String> {
+        match (&self.worse, self.unknown()) {
+            (Some(worse), Some(unknown)) => Some(format!("{worse}; {unknown}")),
+            (worse, unknown) => worse.clone().or(unknown),
+        }
+    }
+
+    /// What is not known about the errors of this skin, if anything.
+    fn unknown(&self) -> Option<String> {
         let of_run = || match &self.run {
             Some(run) => format!("the run {run}, to which it was calibrated,"),
             None => "a Real-Hex or imported run on this sensor".to_owned(),

@@ -290,8 +290,11 @@ mod tests {
         // Without untouched trials the drift is not known to be 0.
         let pressed = KnownTrials { untouched: Untouched::default(), ..known.clone() };
         let elsewhere = tempfile::tempdir().unwrap();
-        let skin = ready(&model, &pressed, elsewhere.path(), None).unwrap();
+        let mut skin = ready(&model, &pressed, elsewhere.path(), None).unwrap();
         let words = skin.limitation().unwrap();
         assert!(words.contains("drift of the offsets is unknown"), "{words}");
+        // A fit that is worse on held-out trials limits the answers, too.
+        skin.worse = Some("the fit is worse".into());
+        assert_eq!(skin.limitation().unwrap(), format!("the fit is worse; {words}"));
     }
 }

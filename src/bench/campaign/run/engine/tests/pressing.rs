@@ -206,6 +206,26 @@ async fn the_first_sample_of_a_press_is_late_from_when_its_start_was_sent() {
 }
 
 #[tokio::test]
+async fn a_sample_of_a_press_is_as_old_as_its_request() {
+    let (axes, mut engine) = engine();
+    let (stage, control) = patient(&mut engine);
+    // A sample may be 0.4 s old. No reply takes as long, but the force may begin just after the first was asked for, and
+    // only the second shows it.
+    stage.stopping.note_poll(0.2);
+    *axes.cells.takes.lock() = Duration::from_millis(300);
+    axes.z.keep_moving();
+    let press = stage.press_to(control, 10.0);
+    let late = async {
+        stopped(&axes, 1).await;
+        *axes.cells.takes.lock() = Duration::ZERO;
+        axes.z.status.lock().moving = false;
+    };
+    let (pressed, late) = tokio::join!(press, tokio::time::timeout(HAPPENS_WITHIN, late));
+    assert!(late.is_ok() && pressed.is_ok(), "{pressed:?}");
+    assert_eq!(axes.z.present().position, 10.0);
+}
+
+#[tokio::test]
 async fn a_press_does_not_start_on_a_sample_that_is_too_old_once_z_was_read() {
     let (axes, mut engine) = engine();
     let (stage, control) = parts(&mut engine);
