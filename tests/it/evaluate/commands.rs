@@ -185,8 +185,8 @@ async fn every_command_trains_scores_and_writes_what_it_is_for() {
     assert!(scores.iter().all(|rows| **rows == 20), "the same rows: {scores:?}");
     let verdicts = table["verdicts"].as_array().unwrap();
     let of_mlp = |line: &Value| line.as_str().unwrap().starts_with("mlp ");
-    let of_each = "one of each regression";
-    assert!(verdicts.len() == 2 && verdicts.iter().all(of_mlp), "{of_each}: {verdicts:?}");
+    assert_eq!(verdicts.len(), 2, "one of each regression: {verdicts:?}");
+    assert!(verdicts.iter().all(of_mlp), "{verdicts:?}");
     assert_eq!((&table["dataset"], &table["split_by"]), (&"real".into(), &"configuration".into()));
     let head = ["net", "rows", "wrong by", "median", "right %", "of ridge"];
     assert_eq!(rows(&data, "quantity-count", &head), 4);

@@ -185,7 +185,7 @@ mod tests {
         assert!((seen.heavy.place - 2.0).abs() < 0.3 && seen.heavy.force < 1.2, "{seen:?}");
         assert!(seen.light.place < 1.2 && seen.light.force < 1.2, "{seen:?}");
         let is_near = |force_n| seen.of_contacts(&[fitted(force_n)]).place < 1.2;
-        assert!(is_near(9.0) && !is_near(30.0));
+        assert!(is_near(9.0) && !is_near(30.0), "{seen:?}");
         let wide = Rehearsal::of(&answers(5, 200, 9.0, [0.5, 0.5])).unwrap().light;
         assert_eq!((wide.place, wide.force), (1.0, 1.0));
         let wrong = Rehearsal::of(&answers(6, 200, 9.0, [30.0, 0.5])).unwrap();
