@@ -102,7 +102,7 @@ def wrong_weight(page, _browser):
 
 
 def confirm_right(page):
-    """Confirms a placement that is right. In the noise of one window a weight may be felt as two; a person looks again."""
+    """Confirms a right placement. In the noise of one window a weight may be felt as two; a person looks again."""
     for _ in range(2):
         if confirmation(page).status == 202:
             return
