@@ -90,7 +90,7 @@ impl Conductor {
         let starters = self.starters();
         let present = turn::Present { now, lock: lock.as_ref(), starters: &starters };
         for run in waiting.iter().filter(|run| present.lets_begin(run)) {
-            let begun = self.begin(run, self.require_turn(run)).await;
+            let begun = self.begin(run, false, self.require_turn(run)).await;
             let is_unanswered = matches!(begun, Err(ConductorError::Refused(Refusal::Gone)));
             *unanswered = if is_unanswered { *unanswered + 1 } else { 0 };
             match begun {

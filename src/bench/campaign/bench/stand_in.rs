@@ -15,7 +15,7 @@ use tokio::sync::broadcast;
 use tokio::time::Instant;
 
 use crate::campaign::bench::stage::Stage;
-use crate::campaign::run::job::Job;
+use crate::campaign::run::job::{Beginning, Job};
 use crate::clock::Clock;
 use crate::ids::{RunUid, TrialId, TrialKey};
 use crate::journal::{Event, ExitStatus, Journal, JournalError, Mounting, Progress};
@@ -45,6 +45,7 @@ pub fn job() -> Job {
         predicted_trial_s: 1.0,
         auto_resume: true,
         has_waited: false,
+        beginning: Beginning::OfPerson,
         bytes_per_trial: 4000,
     }
 }
