@@ -373,6 +373,8 @@ pub struct Forgetful {
     pub flags: Mutex<Vec<Vec<Flag>>>,
     /// Kind of each event.
     pub events: Mutex<Vec<String>>,
+    /// Data of each event.
+    pub told: Mutex<Vec<Value>>,
     /// Wall time of each event.
     pub times: Mutex<Vec<Timestamp>>,
     /// When a person took the operator lock.
@@ -452,6 +454,7 @@ impl Journal for Forgetful {
         at: Timestamp,
     ) -> Result<Event, JournalError> {
         self.events.lock().push(kind.into());
+        self.told.lock().push(data.clone());
         self.times.lock().push(at);
         Ok(Event { seq: 1, run, at, kind: kind.into(), data })
     }

@@ -121,6 +121,30 @@ async fn nothing_is_stored_of_a_reference_press_under_which_the_computer_was_sus
 }
 
 #[tokio::test]
+async fn the_event_of_a_reference_press_has_the_flags_that_its_trial_would_have() {
+    for settle_n in [f64::INFINITY, -1.0] {
+        let (mut job, (axes, mut engine)) = (job(), engine());
+        let measure = &mut job.plan.measure;
+        (measure.settle_ms, measure.settle_max_ms, measure.settle_n) = (0.0, 0.0, settle_n);
+        begin(&mut engine, &job);
+        let (stage, control) = parts(&mut engine);
+        (stage.tips, stage.surface) = (1, Some(surface()));
+        stage.config.limits.frame_age_ms = 60_000;
+        stage.config.limits.sample_age_ms = Some(60_000);
+        let press = job.plan.steps.iter().find_map(|step| match step {
+            Step::Reference(press) => Some(press),
+            _ => None,
+        });
+        let pressing = Pressing { run: job.run, plan: &job.plan, attempt: 1 };
+        pressing.reference(stage, control, press.expect("a reference")).await.unwrap();
+        engine.control.flush().await.unwrap();
+        let of_kind = axes.journal.events.lock().iter().position(|kind| kind == "reference");
+        let told = axes.journal.told.lock()[of_kind.expect("its event")].to_string();
+        assert_eq!(told.contains("unsettled"), settle_n < 0.0, "{told}");
+    }
+}
+
+#[tokio::test]
 async fn a_pause_of_a_placement_does_not_wait_for_its_frames() {
     let (job, (_, mut engine, handle)) = (job(), with_handle());
     begin(&mut engine, &job);
