@@ -10,6 +10,10 @@ use crate::campaign::shown::rig_action::RigAction;
 use crate::campaign::shown::run_action::ActionOnRun;
 use crate::store::StoreResult;
 
+/// Time before a run of an earlier process did something last within which a person who operated the rig may be at it,
+/// wall.
+const OPERATED_BEFORE_END: SignedDuration = SignedDuration::from_secs(600);
+
 impl Conductor {
     /// Refuses what was requested before the last sign of a person; `signs`: their number then.
     pub(super) fn require_no_sign(&self, signs: u64) -> ConductorResult<()> {
@@ -31,11 +35,30 @@ impl Conductor {
     /// How a run begins that no person starts now: with the time at which a person operated the rig last, in this process
     /// or an earlier one, and started or resumed no run since.
     pub(super) async fn unasked(&self) -> StoreResult<Beginning> {
+        Ok(Beginning::Unasked { operated: self.last_operated().await?.map(instant_of) })
+    }
+
+    /// Refuses to drive a run of an earlier process again if a person operated the rig after it did something last, or
+    /// shortly before, and started or resumed no run since. `since`: when it did something last; none if it was not
+    /// driven.
+    pub(super) async fn require_left_alone(&self, since: Option<Timestamp>) -> ConductorResult<()> {
+        let Some(since) = since else { return Ok(()) };
+        let operated = self.last_operated().await?;
+        match operated.filter(|at| since.duration_since(*at) <= OPERATED_BEFORE_END) {
+            None => Ok(()),
+            Some(at) => Err(ConductorError::Forbidden(format!(
+                "a person operated the rig at {at:.0}, shortly before the service ended or after it: start the run"
+            ))),
+        }
+    }
+
+    /// Wall time at which a person operated the rig last, unless a person started or resumed a run since, as far as it is
+    /// stored.
+    async fn last_operated(&self) -> StoreResult<Option<Timestamp>> {
         let operations: Vec<&str> = RigAction::ALL.iter().map(|action| action.as_str()).collect();
         let handovers = [ActionOnRun::Start, ActionOnRun::Resume, ActionOnRun::Confirm]
             .map(ActionOnRun::as_str);
-        let at = self.inner.store.last_operated(&operations, &handovers).await?;
-        Ok(Beginning::Unasked { operated: at.map(instant_of) })
+        self.inner.store.last_operated(&operations, &handovers).await
     }
 }
 
@@ -48,8 +71,8 @@ fn instant_of(at: Timestamp) -> Instant {
 
 #[cfg(test)]
 mod tests {
-    use super::super::Terms;
-    use super::super::stand_in::{conductor, queued_on};
+    use super::super::stand_in::{asked, conductor, earlier, queued_on, unasked};
+    use super::super::{AutoResume, Terms};
     use super::*;
     use crate::campaign::shown::command::{Envelope, Inbox, Refusal, Request};
     use crate::store::{NewAction, RunRow};
@@ -112,5 +135,25 @@ mod tests {
         log(&conductor, "jog", -60, true).await;
         let beginning = conductor.unasked().await.unwrap();
         assert_eq!(minutes(beginning), Some(0));
+    }
+
+    #[tokio::test]
+    async fn a_run_is_not_driven_again_if_a_person_operated_the_rig_shortly_before_its_end() {
+        for (minutes_ago, is_driven) in [(5, false), (20, true)] {
+            let (conductor, mut inbox, _folder) = conductor().await;
+            let [_run, next] = earlier(&conductor).await;
+            log(&conductor, "home", minutes_ago, false).await;
+            let taken = conductor.resume_after_restart(AutoResume::Allowed);
+            if is_driven {
+                tokio::select! {
+                    taken = taken => panic!("{taken:?}"),
+                    _ = asked(&mut inbox, |request| matches!(request, Request::Connect)) => {}
+                }
+                continue;
+            }
+            let refused = unasked(&mut inbox, taken).await.unwrap_err();
+            assert!(refused.to_string().contains("a person operated the rig at"), "{refused}");
+            assert!(conductor.why_dropped(next.uid).is_some());
+        }
     }
 }

@@ -205,6 +205,7 @@ impl Conductor {
         // First: the cause, if an operation has also interrupted it.
         self.require_not_operated(run.uid)?;
         self.unended(run).await?;
+        self.require_left_alone(before.since).await?;
         self.require_unattended(run, before).await?;
         self.bring_up(run, before).await?;
         self.begin(run, false, self.require_unattended(run, before)).await
