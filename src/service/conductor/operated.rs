@@ -1,4 +1,4 @@
-//! A person at the rig, as far as it is known when a run begins: signs, the operator lock, and the actions that are stored.
+//! A person at the rig, as far as it is known when a run begins: signs, the operator lock, the stored actions.
 //! Uses: `campaign` (its status, the names of the actions), `store`. Never: motion, HTTP, a delay of a stop.
 
 use jiff::{SignedDuration, Timestamp};
@@ -24,16 +24,16 @@ impl Conductor {
         }
     }
 
-    /// Refuses a start if a person may have come to the rig since it was requested: there was a sign of one, or another
-    /// person has taken the operator lock. `by`: who starts it, as the holder of a lock is named.
+    /// Refuses a start if a person may have come to the rig since it was requested: there was a sign of one, or
+    /// another person has taken the operator lock. `by`: who starts it, as the holder of a lock is named.
     pub(super) async fn require_no_person(&self, signs: u64, by: &str) -> ConductorResult<()> {
         let lock = self.inner.store.lock().await?;
         self.require_no_sign(signs)?;
         lock.filter(|lock| lock.holder != by).map_or(Ok(()), |lock| Err(locked(&lock)))
     }
 
-    /// How a run begins that no person starts now: with the time at which a person operated the rig last, in this process
-    /// or an earlier one, and started or resumed no run since.
+    /// How a run begins that no person starts now: with the time at which a person operated the rig last, in this
+    /// process or an earlier one, and started or resumed no run since.
     pub(super) async fn unasked(&self) -> StoreResult<Beginning> {
         Ok(Beginning::Unasked { operated: self.last_operated().await?.map(instant_of) })
     }
@@ -52,8 +52,8 @@ impl Conductor {
         }
     }
 
-    /// Wall time at which a person operated the rig last, unless a person started or resumed a run since, as far as it is
-    /// stored.
+    /// Wall time at which a person operated the rig last, unless a person started or resumed a run since, as far as it
+    /// is stored.
     async fn last_operated(&self) -> StoreResult<Option<Timestamp>> {
         let operations: Vec<&str> = RigAction::ALL.iter().map(|action| action.as_str()).collect();
         let handovers = [ActionOnRun::Start, ActionOnRun::Resume, ActionOnRun::Confirm]

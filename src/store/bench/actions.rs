@@ -137,8 +137,8 @@ impl Store {
         self.row("reading the last action of a kind", query, |c| c.time("at")).await
     }
 
-    /// Returns the time of the newest action with one of the names `operations`, accepted or refused, unless an accepted
-    /// one of `handovers` is newer; `None` without one.
+    /// Returns the time of the newest action with one of the names `operations`, accepted or refused, unless an
+    /// accepted one of `handovers` is newer; `None` without one.
     ///
     /// # Errors
     /// `Sql` or `Unreadable` if the read fails.

@@ -40,8 +40,8 @@ pub enum Beginning {
 }
 
 impl Beginning {
-    /// When a person operated the rig last and may still be at it as the run begins; `before`: while the runs before it
-    /// moved in this process.
+    /// When a person operated the rig last and may still be at it as the run begins; `before`: while the runs before
+    /// it moved in this process.
     pub fn operated(self, before: Option<Instant>) -> Option<Instant> {
         match self {
             Self::OfPerson => None,

@@ -106,8 +106,8 @@ impl Engine {
         }
     }
 
-    /// Refuses a placement if its zero was measured before the stream was opened again, or its device restarted: offsets
-    /// may be others since. A skin that was not tared has no zero.
+    /// Refuses a placement if its zero was measured before the stream was opened again, or its device restarted:
+    /// offsets may be others since. A skin that was not tared has no zero.
     pub(super) fn require_zero_of_stream(&self) -> Result<(), Refusal> {
         let (EmptySkin::Followed(skin), Some(open)) = (&self.empty_skin, &self.connection) else {
             return Ok(());

@@ -280,8 +280,8 @@ impl Engine {
         }
     }
 
-    /// Accepts the confirmation of what the run waits for: of a tip change only if the cells do not contradict it, of a
-    /// placement only if its zero is of the present stream.
+    /// Accepts the confirmation of what the run waits for: of a tip change only if the cells do not contradict it, of
+    /// a placement only if its zero is of the present stream.
     async fn check_confirmed(
         &mut self,
         who: &str,

@@ -18,16 +18,16 @@ const FOLLOWS: f64 = 300.0;
 /// Number of frames in the mean from which a frame without contact is taken as untouched: one frame may hide
 /// a light touch.
 const SURE_FRAMES: f64 = 15.0;
-/// Number of newest frames that wait before the zero follows them, 0.5 s: a light touch is found only in the mean of some
-/// frames with it, and those are then dropped.
-const WAITING: usize = 15;
+/// Number of newest frames that wait before the zero follows them, 0.5 s: a light touch is found only in the mean of
+/// some frames with it, and those are then dropped.
+const WAITING_FRAMES: usize = 15;
 
 /// Offsets of the pairs of electrodes, relative to those of the calibration.
 #[derive(Debug, Clone, Default)]
 pub struct Zero {
     offset_v: Vec<f64>,
     frames: f64,
-    /// Offsets of the newest frames without a contact, V, from which it has not learned yet; at most `WAITING`.
+    /// Offsets of the newest frames without a contact, V, from which it has not learned yet; at most `WAITING_FRAMES`.
     waiting_v: VecDeque<Vec<f64>>,
     /// Process time since the last frame from which it learned, s.
     idle_s: f64,
@@ -69,9 +69,9 @@ impl Zero {
         }
     }
 
-    /// Learns from the frame that came `WAITING` frames before this one, from which the zero is already subtracted, V: the
-    /// mean of the last `averaged` frames shows no contact. Offsets stay within `most_v`: beyond it, something rests on
-    /// the skin.
+    /// Learns from the frame that came `WAITING_FRAMES` frames before this one, from which the zero is already
+    /// subtracted, V: the mean of the last `averaged` frames shows no contact. Offsets stay within `most_v`: beyond
+    /// it, something rests on the skin.
     pub fn learn(&mut self, frame_v: &[f64], averaged: f64, most_v: f64) {
         if averaged < SURE_FRAMES {
             self.touched();
@@ -81,7 +81,7 @@ impl Zero {
         self.offset_v.resize(of_frame_v.len(), 0.0);
         of_frame_v.iter_mut().zip(&self.offset_v).for_each(|(v, offset)| *v += offset);
         self.waiting_v.push_back(of_frame_v);
-        if self.waiting_v.len() > WAITING
+        if self.waiting_v.len() > WAITING_FRAMES
             && let Some(before_v) = self.waiting_v.pop_front()
         {
             self.follow(&before_v, most_v);
@@ -148,7 +148,7 @@ mod tests {
         assert!((zero.hours() - 6.0).abs() < 1e-9 && (share - 0.5).abs() < 0.01, "{share}");
         zero.learn(&frame(0.0), 1.0, 2e-3);
         assert!(zero.hours() > 5.9, "one frame may hide a light touch");
-        (0..WAITING).for_each(|_| zero.learn(&frame(0.0), 30.0, 2e-3));
+        (0..WAITING_FRAMES).for_each(|_| zero.learn(&frame(0.0), 30.0, 2e-3));
         assert!(zero.hours() > 5.9, "so may the newest of several");
         zero.learn(&frame(0.0), 30.0, 2e-3);
         assert_eq!(zero.hours(), 0.0);
@@ -160,7 +160,7 @@ mod tests {
         (0..1000).for_each(|_| zero.learn(&left(&zero, frame(1e-3)), 30.0, 2e-3));
         let before = left(&zero, frame(0.0));
         // The mean shows a light touch only after some frames with it.
-        for _ in 0..WAITING {
+        for _ in 0..WAITING_FRAMES {
             zero.learn(&left(&zero, frame(1.5e-3)), 30.0, 2e-3);
         }
         zero.touched();
@@ -168,7 +168,7 @@ mod tests {
         let change_v = (left(&zero, frame(0.0))[0] - before[0]).abs();
         assert!(change_v < 1e-6, "{change_v}");
         // It is lifted: nothing of it is left in what the zero follows.
-        (0..=WAITING).for_each(|_| zero.learn(&left(&zero, frame(1e-3)), 30.0, 2e-3));
+        (0..=WAITING_FRAMES).for_each(|_| zero.learn(&left(&zero, frame(1e-3)), 30.0, 2e-3));
         let change_v = (left(&zero, frame(0.0))[0] - before[0]).abs();
         assert!(change_v < 1e-6, "{change_v}");
         // One that is never found is the zero in the end.

@@ -118,8 +118,8 @@ async fn a_run_does_not_resume_by_itself_if_a_person_requested_a_motion_shortly_
 async fn an_operation_before_a_run_that_begins_by_itself_counts_after_its_trip_too() {
     let (now, long_ago) = (Instant::now(), Instant::now() - OPERATED_WITHIN);
     let unasked = |operated| Beginning::Unasked { operated };
-    // Whether a person operated the rig while the run before it moved, how it begins, and whether it waits for a person:
-    // an earlier process may have stored the operation.
+    // Whether a person operated the rig while the run before it moved, how it begins, and whether it waits for a
+    // person: an earlier process may have stored the operation.
     let cases = [
         (true, unasked(None), true),
         (true, Beginning::OfPerson, false),
