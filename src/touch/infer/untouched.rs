@@ -188,9 +188,9 @@ mod tests {
 
     #[test]
     fn scatter_is_estimated_from_the_first_frames_of_each_stream() {
-        let again: Option<jiff::Timestamp> = Some("2026-11-28T00:03:00Z".parse().unwrap());
+        let again = skin(3, 0.0, 0.0).at;
         let of_minute = |at: i64| {
-            let stream_since = again.filter(|_| at >= 3);
+            let stream_since = (at >= 3).then_some(again);
             Untouched { stream_since, ..skin(at, at as f32, 0.0) }
         };
         let few: Vec<Untouched> = (0..5).map(of_minute).collect();
