@@ -1,5 +1,6 @@
 //! A person at the rig, as far as it is known when a run begins: signs, the operator lock, the stored actions.
-//! Uses: `campaign` (its status, the names of the actions), `store`. Never: motion, HTTP, a delay of a stop.
+//! Uses: `campaign` (its status, the names of the actions, how a run begins), `store`.
+//! Never: motion, HTTP, a delay of a stop.
 
 use jiff::{SignedDuration, Timestamp};
 use tokio::time::Instant;
