@@ -190,7 +190,12 @@ fn sentence(kind: &str, data: &Value) -> Option<String> {
             let tips = counted(data["tips"].as_u64()?, "tip", "tips");
             format!("surface at z {:.2} mm, {tips}", number("surface_z_mm")?)
         }
-        "reference" => format!("reference press before configuration {}", data["before"]),
+        "reference" => {
+            let flags = data["flags"].as_array().into_iter().flatten().filter_map(Value::as_str);
+            let flags: Vec<String> = flags.map(|flag| flag.replace('_', " ")).collect();
+            let press = format!("reference press before configuration {}", data["before"]);
+            if flags.is_empty() { press } else { format!("{press}, {}", flags.join(", ")) }
+        }
         "estimate" => {
             let [left, low, high] =
                 ["remaining_s", "low_s", "high_s"].map(|key| number(key).map(duration));
@@ -312,6 +317,10 @@ mod tests {
             "reason": "no settling" });
         let shown = "attempt 2 of configuration 3, depth 1 failed: no settling";
         assert_eq!(words("attempt_failed", &failed), shown);
+        let reference = json!({ "before": 4, "flags": ["unsettled", "depth_missed"] });
+        let shown = "reference press before configuration 4, unsettled, depth missed";
+        assert_eq!(words("reference", &reference), shown);
+        assert_eq!(words("reference", &json!({ "before": 4 })), &shown[..38]);
         let resumed = json!({ "attempt": 1, "why": "no answer" });
         assert_eq!(words("not_resumed", &resumed), "not resumed: no answer");
         let placed = json!({ "trial": 3, "who": "Ada", "verdict": "wrong", "anyway": true });

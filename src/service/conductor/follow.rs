@@ -33,7 +33,7 @@ impl Conductor {
         let mut again: Option<Instant> = None;
         // While a run that was dropped is stored as one that waits: when to store it.
         let mut store_at: Option<Instant> = None;
-        let mut unanswered = 0;
+        let mut unanswered = None;
         loop {
             tokio::select! {
                 changed = status.changed() => if changed.is_err() { return },
@@ -79,33 +79,36 @@ impl Conductor {
 
     /// Begins the first waiting run that is due. A run that cannot begin must be started again, unless the rig is busy or
     /// not ready any more, or the store fails; an event reports it. Returns when to decide again, if none began and
-    /// some are early. `unanswered`: the last starts, one after the other, that the campaign did not answer.
+    /// some are early. `unanswered`: the run that was offered last, and its last starts, one after the other, that
+    /// the campaign did not answer.
     async fn begin_next(
         &self,
         now: Timestamp,
-        unanswered: &mut u32,
+        unanswered: &mut Option<(RunUid, u32)>,
     ) -> ConductorResult<Option<Duration>> {
         let waiting = self.still_waiting().await?;
         let lock = self.inner.store.lock().await?;
         let starters = self.starters();
         let present = turn::Present { now, lock: lock.as_ref(), starters: &starters };
         for run in waiting.iter().filter(|run| present.lets_begin(run)) {
-            let begun = self.begin(run, self.require_turn(run)).await;
+            let begun = self.begin(run, false, self.require_turn(run)).await;
             let is_unanswered = matches!(begun, Err(ConductorError::Refused(Refusal::Gone)));
-            *unanswered = if is_unanswered { *unanswered + 1 } else { 0 };
+            let before = unanswered.filter(|(uid, _)| *uid == run.uid).map_or(0, |(_, n)| n);
+            let count = if is_unanswered { before + 1 } else { 0 };
+            *unanswered = Some((run.uid, count));
             match begun {
                 Ok(()) => return Ok(None),
                 // Another run was started first: this one continues to wait.
                 Err(_) if self.inner.campaign.status().run.is_some() => return Ok(None),
                 // The rig is busy, for example with a jog or a homing, or its thread does not answer.
                 Err(ConductorError::Refused(Refusal::Busy(_) | Refusal::Gone))
-                    if *unanswered < UNANSWERED_STARTS =>
+                    if count < UNANSWERED_STARTS =>
                 {
                     return Ok(Some(BUSY_AGAIN));
                 }
                 // The rig is not ready any more, for example without wires: no fault of this run.
                 Err(ConductorError::Refused(_)) if !self.inner.campaign.status().rig.is_ready() => {
-                    *unanswered = 0;
+                    *unanswered = None;
                     return Ok(None);
                 }
                 // The store may answer again, and nothing was requested of the rig.
@@ -114,7 +117,7 @@ impl Conductor {
                     return Ok(Some(BUSY_AGAIN));
                 }
                 Err(error) => {
-                    *unanswered = 0;
+                    *unanswered = None;
                     self.drop_waiting(run, &error.to_string()).await?;
                 }
             }
@@ -435,7 +438,7 @@ mod tests {
             conductor.inner.store.close().await;
             drop(one_at_a_time);
         };
-        let mut unanswered = 0;
+        let mut unanswered = None;
         let begins = conductor.begin_next(Timestamp::now(), &mut unanswered);
         let (begun, ()) = tokio::join!(begins, fails);
         // On a slow machine it fails before it has read which runs wait.
@@ -454,7 +457,7 @@ mod tests {
         let run = queued(&conductor, None).await;
         conductor.inner.store.set_waiting(run.uid).await.unwrap();
         conductor.let_wait([run.uid]);
-        let mut unanswered = 0;
+        let mut unanswered = None;
         for (state, waits) in [(RigState::Disconnected, true), (RigState::Homed, false)] {
             inbox.status.send_modify(|status| status.rig.state = state);
             let refuses = async {
@@ -479,10 +482,12 @@ mod tests {
         // The campaign takes no request any more.
         drop(inbox.requests);
         // The rig is not ready any more after the last of them: later ones are counted from the first.
-        let mut unanswered = UNANSWERED_STARTS - 1;
+        let mut unanswered = Some((run.uid, UNANSWERED_STARTS - 1));
         let pause = conductor.begin_next(Timestamp::now(), &mut unanswered).await.unwrap();
-        assert_eq!((pause, unanswered), (None, 0));
+        assert_eq!((pause, unanswered), (None, None));
         inbox.status.send_modify(|status| status.rig.state = RigState::Homed);
+        // The starts of another run are not those of this one.
+        unanswered = Some((RunUid::new(), UNANSWERED_STARTS - 1));
         for attempt in 1..=UNANSWERED_STARTS {
             let pause = conductor.begin_next(Timestamp::now(), &mut unanswered).await.unwrap();
             let is_repeated = attempt < UNANSWERED_STARTS;

@@ -34,6 +34,7 @@ mod earlier;
 mod error;
 mod follow;
 pub mod estimates;
+mod operated;
 mod prepare;
 mod queue;
 mod restart;
@@ -265,7 +266,7 @@ impl Conductor {
             }
             return Ok(Started::Waiting);
         }
-        self.begin(run, self.require_no_person(signs, &by)).await?;
+        self.begin(run, true, self.require_no_person(signs, &by)).await?;
         Ok(Started::Running)
     }
 
@@ -346,23 +347,6 @@ impl Conductor {
         Err(ConductorError::Forbidden(words))
     }
 
-    /// Refuses what was requested before the last sign of a person; `signs`: their number then.
-    fn require_no_sign(&self, signs: u64) -> ConductorResult<()> {
-        let attended = self.inner.campaign.status().attended;
-        match attended.signs == signs {
-            true => Ok(()),
-            false => Err(ConductorError::Forbidden(format!("{}: start it again", attended.why))),
-        }
-    }
-
-    /// Refuses a start if a person may have come to the rig since it was requested: there was a sign of one, or another
-    /// person has taken the operator lock. `by`: who starts it, as the holder of a lock is named.
-    async fn require_no_person(&self, signs: u64, by: &str) -> ConductorResult<()> {
-        let lock = self.inner.store.lock().await?;
-        self.require_no_sign(signs)?;
-        lock.filter(|lock| lock.holder != by).map_or(Ok(()), |lock| Err(locked(&lock)))
-    }
-
     fn check_code(&self, row: &RunRow, code: &str) -> ConductorResult<()> {
         let (run, armings) = (row.scan_id, self.armings());
         let forbidden = |words: String| Err(ConductorError::Forbidden(words));
@@ -396,10 +380,12 @@ impl Conductor {
         }
     }
 
-    /// Begins a run on the rig, unless `refused`: awaited last, since planning takes a while.
+    /// Begins a run on the rig, unless `refused`: awaited last, since planning takes a while. `by_person`: whether a
+    /// person starts it now; otherwise it begins by itself.
     async fn begin(
         &self,
         run: &RunRow,
+        by_person: bool,
         refused: impl Future<Output = ConductorResult<()>> + Send,
     ) -> ConductorResult<()> {
         let beginning = async {
@@ -409,6 +395,9 @@ impl Conductor {
             let run = &self.unended(run).await?;
             let mut job = self.prepare_stored(run).await?.job(run);
             job.has_waited = self.waiting().contains(&run.uid);
+            if !by_person {
+                job.beginning = self.unasked().await?;
+            }
             // Read before it: the campaign refuses the start after a sign or a lock that `refused` has not seen.
             let signs = self.inner.campaign.status().attended.signs;
             let decided_at = (Timestamp::now(), Instant::now());

@@ -6,7 +6,7 @@ use sim_core::sensor::Sensor;
 use utoipa::ToSchema;
 
 use super::{ConductorError, ConductorResult, RigFile};
-use crate::campaign::run::job::Job;
+use crate::campaign::run::job::{Beginning, Job};
 use crate::carried;
 use crate::problem::Problem;
 use crate::rig::reach::{bench, reach};
@@ -159,6 +159,7 @@ impl Prepared {
             predicted_trial_s: self.preflight.duration_s * self.clock_rate / trials as f64,
             auto_resume: run.auto_resume,
             has_waited: false,
+            beginning: Beginning::OfPerson,
             bytes_per_trial: (self.preflight.disk_bytes - self.preflight.disk_fixed_bytes) / trials,
             plan: self.plan,
         }

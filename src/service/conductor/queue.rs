@@ -319,7 +319,8 @@ mod tests {
             let _ = answer.send(Err(Refusal::Busy("a run was aborted".into())));
             (signs, decided_at)
         };
-        let (begun, (signs, decided_at)) = tokio::join!(conductor.begin(&run, decided), refuses);
+        let (begun, (signs, decided_at)) =
+            tokio::join!(conductor.begin(&run, true, decided), refuses);
         assert!(matches!(begun, Err(ConductorError::Refused(_))), "{begun:?}");
         assert_eq!((signs, inbox.status.borrow().attended.signs), (0, 1));
         let lock = conductor.inner.store.lock().await.unwrap().expect("it is taken");

@@ -205,9 +205,10 @@ impl Conductor {
         // First: the cause, if an operation has also interrupted it.
         self.require_not_operated(run.uid)?;
         self.unended(run).await?;
+        self.require_left_alone(before.since).await?;
         self.require_unattended(run, before).await?;
         self.bring_up(run, before).await?;
-        self.begin(run, self.require_unattended(run, before)).await
+        self.begin(run, false, self.require_unattended(run, before)).await
     }
 
     /// Holds a run that is about to be driven again: a person has requested to pause or stop it. It must be started

@@ -137,6 +137,29 @@ impl Store {
         self.row("reading the last action of a kind", query, |c| c.time("at")).await
     }
 
+    /// Returns the time of the newest action with one of the names `operations`, accepted or refused, unless an
+    /// accepted one of `handovers` is newer; `None` without one.
+    ///
+    /// # Errors
+    /// `Sql` or `Unreadable` if the read fails.
+    pub async fn last_operated(
+        &self,
+        operations: &[&str],
+        handovers: &[&str],
+    ) -> StoreResult<Option<Timestamp>> {
+        let query = sqlx::query(
+            "SELECT at, action IN (SELECT value FROM json_each(?1)) AS is_operation FROM actions
+             WHERE action IN (SELECT value FROM json_each(?1))
+                OR (accepted = 1 AND action IN (SELECT value FROM json_each(?2)))
+             ORDER BY id DESC LIMIT 1",
+        )
+        .bind(serde_json::json!(operations).to_string())
+        .bind(serde_json::json!(handovers).to_string());
+        let read = |c: &Columns<'_>| Ok((c.time("at")?, c.whole::<i64>("is_operation")? == 1));
+        let newest = self.row("reading the last action on the rig", query, read).await?;
+        Ok(newest.filter(|(_, is_operation)| *is_operation).map(|(at, _)| at))
+    }
+
     /// Returns the number of accepted actions on a run with this name.
     ///
     /// # Errors

@@ -215,6 +215,30 @@ async fn actions_are_logged_newest_first() {
 }
 
 #[tokio::test]
+async fn the_last_operation_of_the_rig_counts_until_a_run_is_started_or_resumed() {
+    let (_folder, store) = fresh().await;
+    let last = async || store.last_operated(&["home", "jog"], &["start", "resume"]).await.unwrap();
+    assert_eq!(last().await, None);
+    let [first, second] = [time("2026-11-20T18:00:00Z"), time("2026-11-20T18:01:00Z")];
+    let log = async |at, action: &str, accepted| {
+        let (action, who) = (action.into(), "local".into());
+        let (run, key_id, why, detail) = (None, None, None, None);
+        let new = NewAction { at, run, action, who, key_id, why, accepted, detail };
+        store.log_action(new).await.unwrap();
+    };
+    log(first, "home", true).await;
+    assert_eq!(last().await, Some(first));
+    log(second, "jog", false).await;
+    assert_eq!(last().await, Some(second), "a person may be at the rig after a refusal, too");
+    for (action, accepted) in [("pause", true), ("resume", false)] {
+        log(second, action, accepted).await;
+        assert_eq!(last().await, Some(second));
+    }
+    log(second, "start", true).await;
+    assert_eq!(last().await, None);
+}
+
+#[tokio::test]
 async fn actions_of_two_keys_with_one_name_are_told_apart() {
     let (_folder, store) = fresh().await;
     let ring = KeyRing::load(store.clone()).await.unwrap();

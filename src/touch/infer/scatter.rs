@@ -29,24 +29,36 @@ impl Scatter {
     /// Of frames of the untouched skin in the order of time, V; `None` with too few frames, or of different
     /// lengths. A frame with a value that is not finite is skipped.
     pub fn of(frames: &[&[f32]]) -> Option<Self> {
-        Self::from_means(&offsets(frames)?, 1)
+        Self::of_streams(&[frames.to_vec()])
+    }
+
+    /// As [`Self::of`], of the frames of each stream: no difference is one between two streams, whose device may have
+    /// other offsets.
+    pub fn of_streams(streams: &[Vec<&[f32]>]) -> Option<Self> {
+        Self::from_means(&offsets(streams)?, 1)
     }
 
     /// The number of frames whose mean is closest to the next frame, with the scatter of that difference: the mean of
-    /// more frames has less noise, and is older. As [`Self::of`].
-    pub fn of_best_means(frames: &[&[f32]]) -> Option<(usize, Self)> {
-        let offsets = offsets(frames)?;
+    /// more frames has less noise, and is older. As [`Self::of_streams`].
+    pub fn of_best_means(streams: &[Vec<&[f32]>]) -> Option<(usize, Self)> {
+        let offsets = offsets(streams)?;
         let of = |count: usize| Some((count, Self::from_means(&offsets, count)?));
         MEANS_OF.into_iter().filter_map(of).min_by(|a, b| a.1.sd_v.total_cmp(&b.1.sd_v))
     }
 
-    /// Of the differences of offsets, V, from the mean of `count` frames before each.
-    fn from_means(offsets: &[Vec<f64>], count: usize) -> Option<Self> {
-        let pairs = offsets.first().filter(|_| offsets.len() >= LEAST_FRAMES * count)?.len();
-        let changes = (offsets.len() - count) as f64;
+    /// Of the differences of offsets, V, from the mean of `count` frames before each in its stream.
+    fn from_means(streams: &[Vec<Vec<f64>>], count: usize) -> Option<Self> {
+        let pairs = streams.iter().flatten().next()?.len();
+        let windows: Vec<&[Vec<f64>]> =
+            streams.iter().flat_map(|offsets| offsets.windows(count + 1)).collect();
+        // As many as `LEAST_FRAMES * count` frames of one stream have.
+        if windows.len() < (LEAST_FRAMES - 1) * count {
+            return None;
+        }
+        let changes = windows.len() as f64;
         let waves = waves(pairs);
         let mut sums_v2 = vec![0.0; waves.len()];
-        for frames in offsets.windows(count + 1) {
+        for frames in windows {
             let (after, before) = (&frames[count], mean(&frames[..count]));
             for (sum_v2, wave) in sums_v2.iter_mut().zip(&waves) {
                 let change_v = wave.iter().zip(after.iter().zip(&before));
@@ -58,16 +70,22 @@ impl Scatter {
     }
 }
 
-/// Offsets of the pairs in each frame, V; `None` if lengths differ.
-fn offsets(frames: &[&[f32]]) -> Option<Vec<Vec<f64>>> {
-    let is_finite = |frame: &&&[f32]| frame.iter().all(|volts| volts.is_finite());
-    let frames: Vec<&[f32]> = frames.iter().filter(is_finite).copied().collect();
-    let channels = frames.first()?.len();
+/// Offsets of the pairs in each frame of each stream, V; `None` if lengths differ, or without a frame.
+fn offsets(streams: &[Vec<&[f32]>]) -> Option<Vec<Vec<Vec<f64>>>> {
+    let channels = streams.iter().flatten().find(is_finite)?.len();
     let of = |frame: &&[f32]| {
         let frame_v: Vec<f64> = frame.iter().copied().map(f64::from).collect();
         (frame.len() == channels).then(|| of_pairs(&frame_v))
     };
-    frames.iter().map(of).collect()
+    let of_stream = |stream: &Vec<&[f32]>| -> Option<Vec<Vec<f64>>> {
+        stream.iter().filter(is_finite).map(of).collect()
+    };
+    streams.iter().map(of_stream).collect()
+}
+
+/// Whether each value of a frame is finite.
+fn is_finite(frame: &&&[f32]) -> bool {
+    frame.iter().all(|volts| volts.is_finite())
 }
 
 /// Mean of offsets, V.
@@ -126,8 +144,12 @@ mod tests {
         (0..count).map(|_| one()).collect()
     }
 
+    fn slices(frames: &[Vec<f32>]) -> Vec<&[f32]> {
+        frames.iter().map(Vec::as_slice).collect()
+    }
+
     fn scatter(frames: &[Vec<f32>]) -> Option<Scatter> {
-        Scatter::of(&frames.iter().map(Vec::as_slice).collect::<Vec<_>>())
+        Scatter::of(&slices(frames))
     }
 
     #[test]
@@ -145,9 +167,7 @@ mod tests {
 
     #[test]
     fn the_mean_of_many_frames_is_the_zero_of_offsets_that_do_not_drift() {
-        let best = |frames: &[Vec<f32>]| {
-            Scatter::of_best_means(&frames.iter().map(Vec::as_slice).collect::<Vec<_>>()).unwrap()
-        };
+        let best = |frames: &[Vec<f32>]| Scatter::of_best_means(&[slices(frames)]).unwrap();
         let still = frames(300, false);
         let (count, Scatter { sd_v, .. }) = best(&still);
         assert_eq!(count, 16);
@@ -159,6 +179,25 @@ mod tests {
             later[0].iter_mut().zip(&earlier[i - 1]).for_each(|(v, before)| *v += before);
         }
         assert_eq!(best(&walks).0, 1, "offsets that walk are those of the last frame");
+    }
+
+    #[test]
+    fn no_difference_is_one_between_two_streams() {
+        let mut all = frames(300, false);
+        // The device of the second stream has other offsets, of 50 mV.
+        let shift = |frame: &mut Vec<f32>| frame.iter_mut().step_by(2).for_each(|v| *v += 0.05);
+        all[150..].iter_mut().for_each(shift);
+        let streams = [slices(&all[..150]), slices(&all[150..])];
+        let (count, Scatter { sd_v, .. }) = Scatter::of_best_means(&streams).unwrap();
+        assert_eq!(count, 16);
+        assert!((1e3 * sd_v - (1.0 + 1.0 / 16.0f64).sqrt()).abs() < 0.05, "{sd_v}");
+        let one = Scatter::of_streams(&streams).unwrap();
+        assert!((1e3 * one.sd_v - 2f64.sqrt()).abs() < 0.05, "{one:?}");
+        let as_one = Scatter::of(&slices(&all)).unwrap();
+        assert!(as_one.sd_v > 1.5 * one.sd_v, "{as_one:?}");
+        let pairs = |count: usize| all.chunks(2).take(count).map(slices).collect::<Vec<_>>();
+        assert_eq!(Scatter::of_streams(&pairs(LEAST_FRAMES - 2)), None, "too few differences");
+        assert!(Scatter::of_streams(&pairs(LEAST_FRAMES - 1)).is_some());
     }
 
     #[test]

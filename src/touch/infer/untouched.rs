@@ -76,7 +76,7 @@ impl Tared {
     /// Reads what is known of a run whose zero is the mean of several frames.
     async fn with_means(store: &Store, run: RunUid) -> Result<Self, StoreError> {
         let (tared, frames) = Self::read(store, run, u32::MAX).await?;
-        let Some((count, scatter)) = Scatter::of_best_means(&first(&frames)) else {
+        let Some((count, scatter)) = Scatter::of_best_means(&first_of_streams(&frames)) else {
             return Ok(tared);
         };
         let means = Means { count, scatter, frames: frames.iter().map(Offsets::of).collect() };
@@ -91,7 +91,8 @@ impl Tared {
         let rig = store.run(run).await?.and_then(|row| row.rig);
         let frames = store.untouched_frames(run, most).await?;
         let clock_rate = rig.as_deref().map_or(1.0, clock_rate);
-        Ok((Self { clock_rate, scatter: Scatter::of(&first(&frames)), means: None }, frames))
+        let scatter = Scatter::of_streams(&first_of_streams(&frames));
+        Ok((Self { clock_rate, scatter, means: None }, frames))
     }
 
     /// The untouched skin before frames that are `wall_s` younger.
@@ -130,9 +131,13 @@ impl Tared {
     }
 }
 
-/// The frames from which scatter is estimated, V.
-fn first(frames: &[Untouched]) -> Vec<&[f32]> {
-    frames.iter().take(SCATTER_OF as usize).map(|skin| skin.voltages_v.as_slice()).collect()
+/// The frames from which scatter is estimated, V, those of each stream apart.
+fn first_of_streams(frames: &[Untouched]) -> Vec<Vec<&[f32]>> {
+    let first = &frames[..frames.len().min(SCATTER_OF as usize)];
+    first
+        .chunk_by(|a, b| a.stream_since == b.stream_since)
+        .map(|stream| stream.iter().map(|skin| skin.voltages_v.as_slice()).collect())
+        .collect()
 }
 
 /// Offsets of the pairs of electrodes in a frame, V.
@@ -179,6 +184,23 @@ mod tests {
         let at = format!("2026-11-28T{:02}:{:02}:00Z", minutes / 60, minutes % 60);
         let at = at.parse().unwrap();
         Untouched { voltages_v, at, frames: 4, run: None, stream_since: None }
+    }
+
+    #[test]
+    fn scatter_is_estimated_from_the_first_frames_of_each_stream() {
+        let again = skin(3, 0.0, 0.0).at;
+        let of_minute = |at: i64| {
+            let stream_since = (at >= 3).then_some(again);
+            Untouched { stream_since, ..skin(at, at as f32, 0.0) }
+        };
+        let few: Vec<Untouched> = (0..5).map(of_minute).collect();
+        let first_v = |stream: &Vec<&[f32]>| (stream.len(), stream[0][0]);
+        let streams: Vec<_> = first_of_streams(&few).iter().map(first_v).collect();
+        assert_eq!(streams, [(3, 0.0), (2, 3.0)]);
+        let many: Vec<Untouched> = (0..400).map(of_minute).collect();
+        let streams: Vec<_> = first_of_streams(&many).iter().map(Vec::len).collect();
+        assert_eq!(streams, [3, SCATTER_OF as usize - 3]);
+        assert!(first_of_streams(&[]).is_empty());
     }
 
     #[test]

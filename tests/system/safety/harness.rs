@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 use palpate::campaign::bench::interlock::TripKind;
 use palpate::campaign::bench::rig_state::RigState;
 use palpate::campaign::run::engine;
-use palpate::campaign::run::job::Job;
+use palpate::campaign::run::job::{Beginning, Job};
 use palpate::campaign::shown::command::{Handle, Refusal, Request};
 use palpate::campaign::shown::safe_end::Tips;
 use palpate::campaign::shown::status::{Phase, Status};
@@ -160,6 +160,7 @@ impl Harness {
             predicted_trial_s: 1.0,
             auto_resume: false,
             has_waited: false,
+            beginning: Beginning::OfPerson,
             bytes_per_trial: 4000,
         };
         change(&mut job);

@@ -15,7 +15,7 @@ use tokio::sync::broadcast;
 use tokio::time::Instant;
 
 use crate::campaign::bench::stage::Stage;
-use crate::campaign::run::job::Job;
+use crate::campaign::run::job::{Beginning, Job};
 use crate::clock::Clock;
 use crate::ids::{RunUid, TrialId, TrialKey};
 use crate::journal::{Event, ExitStatus, Journal, JournalError, Mounting, Progress};
@@ -45,6 +45,7 @@ pub fn job() -> Job {
         predicted_trial_s: 1.0,
         auto_resume: true,
         has_waited: false,
+        beginning: Beginning::OfPerson,
         bytes_per_trial: 4000,
     }
 }
@@ -372,6 +373,8 @@ pub struct Forgetful {
     pub flags: Mutex<Vec<Vec<Flag>>>,
     /// Kind of each event.
     pub events: Mutex<Vec<String>>,
+    /// Data of each event.
+    pub told: Mutex<Vec<Value>>,
     /// Wall time of each event.
     pub times: Mutex<Vec<Timestamp>>,
     /// When a person took the operator lock.
@@ -451,6 +454,7 @@ impl Journal for Forgetful {
         at: Timestamp,
     ) -> Result<Event, JournalError> {
         self.events.lock().push(kind.into());
+        self.told.lock().push(data.clone());
         self.times.lock().push(at);
         Ok(Event { seq: 1, run, at, kind: kind.into(), data })
     }

@@ -1,6 +1,6 @@
 //! Where requests meet the state machines: what is allowed, the next state, the published status.
 //! All of it happens in memory; the diary stores it afterwards.
-//! Uses: `campaign::{shown::command, run::{run_state, unattended}, bench::rig_state, shown::status, diary}`.
+//! Uses: `campaign::{shown::command, run::{job, run_state, unattended}, bench::rig_state, shown::status, diary}`.
 //! Never: motion, wires, a wait for the store except while the tips are up (`flush`, `at_rest`,
 //! `taken_lock`).
 
@@ -17,6 +17,7 @@ use crate::campaign::bench::interlock::{Trip, TripKind};
 use crate::campaign::bench::rig_state::{self, RigEvent, RigState};
 use crate::campaign::diary::{Diary, Note};
 use crate::campaign::run::halt::Halt;
+use crate::campaign::run::job::Beginning;
 use crate::campaign::run::run_state::{self, PausedWhy, RunAction, RunEvent, RunState};
 use crate::campaign::run::unattended::{self, Unattended};
 use crate::campaign::shown::command::{Envelope, Inbox, Moment, Refusal, Request};
@@ -61,7 +62,7 @@ pub struct Control {
     suspended_for: Option<String>,
     leaving: bool,
     estop_noted: bool,
-    /// When a person requested something of the rig last, while it moved.
+    /// When a person requested something of the rig last, while it moved, and started or resumed no run since.
     operated: Option<Instant>,
 }
 
@@ -172,9 +173,12 @@ impl Control {
     ///
     /// # Errors
     /// `Refusal::State` if another run is active.
-    pub fn begin(&mut self, run: RunUid) -> Result<(), Refusal> {
+    pub fn begin(&mut self, run: RunUid, beginning: Beginning) -> Result<(), Refusal> {
         self.current = Some(run);
-        self.run_event(RunEvent::Start).map(|_| ())
+        let before = self.operated;
+        self.run_event(RunEvent::Start)?;
+        self.operated = beginning.operated(before);
+        Ok(())
     }
 
     /// Applies an event to the state of the run, publishes and records the new state. Returns what
@@ -196,7 +200,7 @@ impl Control {
     fn publish_run_state(&mut self, state: RunState) {
         let change = state.change();
         if state == RunState::Running {
-            // They belong to an earlier halt, or to an earlier run.
+            // They belong to an earlier halt.
             (self.suspended_for, self.operated) = (None, None);
         }
         self.show_run(|run| {
@@ -443,7 +447,8 @@ impl Control {
         self.operated.take().is_some()
     }
 
-    /// Whether a person has requested something of the rig within this time, while it moved for the present run.
+    /// Whether a person has requested something of the rig within this time, also during a run before, and started or
+    /// resumed none since.
     pub fn is_operated_within(&self, time: Duration) -> bool {
         self.operated.is_some_and(|at| at.elapsed() <= time)
     }

@@ -44,7 +44,8 @@ pub struct Confirmed<'a> {
 /// Measures a placement that a person has confirmed.
 ///
 /// # Errors
-/// Halts if frames do not arrive, on an e-stop or a request, or if the store fails.
+/// Halts if frames do not arrive, on an e-stop or a request, or if the store fails. Fails the attempt if the stream is
+/// opened again meanwhile, or its device restarts.
 pub async fn measure(
     skin: &Arc<dyn SkinReader>,
     clock: &Clock,
@@ -57,6 +58,7 @@ pub async fn measure(
     control.show_run(|run| run.trial = Some(key));
     control.phase(Phase::Settle);
     let started_at = clock.timestamp();
+    let stream_since = skin.counters().since;
     let (settle_ms, at_rest) = settle(skin, clock, control, plan_measure).await?;
     control.phase(Phase::Measure);
     let before = skin.counters();
@@ -65,6 +67,11 @@ pub async fn measure(
     let after = skin.counters();
     // Nothing is stored of weights that lay while the computer was suspended.
     control.attend()?;
+    if after.since != stream_since {
+        // Offsets may differ from those of the untouched frame.
+        let words = "the voltage stream was opened again, or its device restarted, meanwhile";
+        return Err(Halt::Failed(words.into()));
+    }
     let dropped = (after.missed - before.missed) + (after.garbled - before.garbled);
     let quality = FrameQuality { dropped_packets: Some(dropped as u32), ..frame_quality(&frames) };
     let mut flags = frame_flags(&frames, plan_measure);

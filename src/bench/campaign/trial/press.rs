@@ -117,16 +117,7 @@ impl Pressing<'_> {
         {
             return Err(Halt::trip(TripKind::Force, words));
         }
-        let mut flags = taken.flags;
-        if !settled.at_rest {
-            flags.push(Flag::Unsettled);
-        }
-        if (reached.z_mm - target.z_mm).abs() > DEPTH_TOLERANCE_MM {
-            flags.push(Flag::DepthMissed);
-        }
-        if stage.pressed_arms(&held).any(|arm| arm.is_silent(limits)) {
-            flags.push(Flag::StillCell);
-        }
+        let flags = load_flags(stage, &held, settled, &target, taken.flags);
         let arms = arm_readings(stage, &c.stand, &taken.volts);
         let measured_n = arms.iter().map(|a| a.force_n).fold(0.0, f64::max);
         let record = TrialRecord {
@@ -188,7 +179,9 @@ impl Pressing<'_> {
         self.prepare(stage, control, &press.stand, press.before_configuration).await?;
         let z_mm = self.z_mm(stage, press.depth_mm)?;
         let target = stage.pose_over(&press.stand, z_mm);
-        let (_, mut taken, reached) = self.hold(stage, control, &target).await?;
+        let (settled, mut taken, reached) = self.hold(stage, control, &target).await?;
+        let held = Held { z_mm: reached.z_mm, forces_n: stage.forces_n(&taken.volts) };
+        let flags = load_flags(stage, &held, settled, &target, std::mem::take(&mut taken.flags));
         let arms = arm_readings(stage, &press.stand, &taken.volts);
         let record = ReferenceRecord {
             before_configuration: press.before_configuration,
@@ -199,7 +192,13 @@ impl Pressing<'_> {
             at: stage.clock.timestamp(),
         };
         control.diary.note(Note::Reference(self.run, Box::new(record)));
-        control.say("reference", json!({ "before": press.before_configuration }));
+        let before = press.before_configuration;
+        // Its record has no flags: who compares the forces of two presses finds them here.
+        let data = match flags.is_empty() {
+            true => json!({ "before": before }),
+            false => json!({ "before": before, "flags": flags }),
+        };
+        control.say("reference", data);
         control.checkpoint()
     }
 
@@ -234,6 +233,26 @@ impl Pressing<'_> {
         let surface = surface.ok_or_else(|| Halt::Failed("no touch-off has been done".into()))?;
         Ok(surface - self.plan.standoff_mm + depth_mm)
     }
+}
+
+/// Possible faults of a held load: those of its frames, and of how it was reached.
+fn load_flags(
+    stage: &Stage,
+    held: &Held,
+    settled: measure::Settled,
+    target: &Pose,
+    mut flags: Vec<Flag>,
+) -> Vec<Flag> {
+    if !settled.at_rest {
+        flags.push(Flag::Unsettled);
+    }
+    if (held.z_mm - target.z_mm).abs() > DEPTH_TOLERANCE_MM {
+        flags.push(Flag::DepthMissed);
+    }
+    if stage.pressed_arms(held).any(|arm| arm.is_silent(&stage.config.limits)) {
+        flags.push(Flag::StillCell);
+    }
+    flags
 }
 
 fn arm_readings(stage: &Stage, stand: &Stand, volts: &[f64; ARMS]) -> Vec<ArmReading> {

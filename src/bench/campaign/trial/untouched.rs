@@ -131,6 +131,11 @@ impl UntouchedSkin {
         (!is_reported).then(|| self.mean())
     }
 
+    /// Wall time since which the stream of the newest untouched window was open, as in [`Seen`].
+    pub fn stream_since(&self) -> Option<Timestamp> {
+        self.last.stream_since
+    }
+
     /// Mean of the newest untouched windows since the last touch.
     pub fn mean(&self) -> UntouchedMean {
         let windows = self.recent_v.len();

@@ -91,7 +91,7 @@ impl Engine {
     fn begin(&mut self, job: &Job) -> Result<(), Refusal> {
         self.prepared_setting = None;
         self.control.show(|status| status.run = Some(show::started(job)));
-        self.control.begin(job.run)
+        self.control.begin(job.run, job.beginning)
     }
 
     /// Arms a homed rig with the force limits of a run and the measured pace of the wires; also for its resume,

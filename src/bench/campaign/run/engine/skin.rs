@@ -19,6 +19,11 @@ const TARE_WINDOWS: u32 = 4;
 /// Pause after frames that did not arrive, process s.
 const PAUSE_S: f64 = 1.0;
 
+/// Why a placement is refused whose zero was measured before the stream was opened again.
+const ZERO_OF_EARLIER_STREAM: &str = "confirm is not possible: since the untouched skin was measured, the voltage \
+    stream was opened again or its device restarted; take everything off the skin for 5 s, or tare it, and place the \
+    weights again";
+
 /// What is known of the empty skin.
 #[derive(Debug, Default)]
 pub(super) enum EmptySkin {
@@ -99,6 +104,18 @@ impl Engine {
             }
             (kept, _) => self.empty_skin = kept,
         }
+    }
+
+    /// Refuses a placement if its zero was measured before the stream was opened again, or its device restarted:
+    /// offsets may be others since. A skin that was not tared has no zero.
+    pub(super) fn require_zero_of_stream(&self) -> Result<(), Refusal> {
+        let (EmptySkin::Followed(skin), Some(open)) = (&self.empty_skin, &self.connection) else {
+            return Ok(());
+        };
+        if skin.stream_since() == open.skin.counters().since {
+            return Ok(());
+        }
+        Err(Refusal::State(ZERO_OF_EARLIER_STREAM.into()))
     }
 
     /// A person has confirmed that weights are on the skin.

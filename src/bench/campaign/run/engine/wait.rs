@@ -280,8 +280,8 @@ impl Engine {
         }
     }
 
-    /// Accepts the confirmation of what the run waits for, of a tip change only if the cells do not
-    /// contradict it.
+    /// Accepts the confirmation of what the run waits for: of a tip change only if the cells do not contradict it, of
+    /// a placement only if its zero is of the present stream.
     async fn check_confirmed(
         &mut self,
         who: &str,
@@ -294,7 +294,7 @@ impl Engine {
                 "the run waits for another confirmation: read the status".into(),
             )),
             Some(Wanted::Tips { tips }) => self.mounted(tips, who, answer).await,
-            Some(Wanted::Placement { .. }) => Ok(()),
+            Some(Wanted::Placement { .. }) => self.require_zero_of_stream(),
             None => Err(Refusal::State("the run waits for no confirmation".into())),
         }
     }

@@ -119,6 +119,8 @@ impl ReadyMethod for ExactPipeline {
             let SkinErrors { noise_sd_v, drift, .. } = &self.skin.errors;
             let most_v = ZERO_SD * drift.sd_v(None).max(*noise_sd_v);
             tracked.zero.learn(&tracked.frame_v, mean.frames, most_v);
+        } else {
+            tracked.zero.touched();
         }
         let zero_hours = tracked.zero.share_of_day().map(|_| tracked.zero.hours());
         let mut reading = self.skin.reading(&fit, zero_hours, mean.frames);

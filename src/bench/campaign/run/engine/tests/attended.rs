@@ -4,6 +4,9 @@
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 
+use tokio::time::Instant;
+
+use super::super::decide::OPERATED_WITHIN;
 use super::super::recovery::BY_HAND;
 use super::super::{Attempts, Engine, Next};
 use super::{asked_while_moving, begin, job, signs, trip, waiting_for, with_handle};
@@ -11,7 +14,7 @@ use crate::campaign::bench::interlock::TripKind;
 use crate::campaign::bench::rig_state::RigState;
 use crate::campaign::bench::stand_in::{soon, until};
 use crate::campaign::run::halt::Halt;
-use crate::campaign::run::job::Job;
+use crate::campaign::run::job::{Beginning, Job};
 use crate::campaign::run::run_state::{PausedWhy, RunEvent, RunState};
 use crate::campaign::shown::command::{Handle, Request};
 use crate::campaign::shown::status::Status;
@@ -108,6 +111,41 @@ async fn a_run_does_not_resume_by_itself_if_a_person_requested_a_motion_shortly_
         assert_eq!(waiting_for(&engine).as_deref(), Some(words));
         engine.control.run_event(RunEvent::Resume).unwrap();
         assert!(!engine.control.take_operated(), "a person has resumed it");
+    }
+}
+
+#[tokio::test]
+async fn an_operation_before_a_run_that_begins_by_itself_counts_after_its_trip_too() {
+    let (now, long_ago) = (Instant::now(), Instant::now() - OPERATED_WITHIN);
+    let unasked = |operated| Beginning::Unasked { operated };
+    // Whether a person operated the rig while the run before it moved, how it begins, and whether it waits for a
+    // person: an earlier process may have stored the operation.
+    let cases = [
+        (true, unasked(None), true),
+        (true, Beginning::OfPerson, false),
+        (false, unasked(Some(now)), true),
+        (false, unasked(Some(long_ago)), false),
+        (false, unasked(None), false),
+    ];
+    for (is_operated, beginning, waits) in cases {
+        let (before, (_, mut engine, handle)) = (job(), with_handle());
+        begin(&mut engine, &before);
+        if is_operated {
+            let (refused, moved) = asked_while_moving(&mut engine, &handle, Request::Home).await;
+            assert!(refused.is_err() && moved.is_ok(), "{refused:?}");
+        }
+        engine.end_unasked();
+        engine.control.forget_run();
+        drop(handle);
+        let next = Job { beginning, ..job() };
+        begin(&mut engine, &next);
+        let (mut attempts, mut resumes) = (Attempts::default(), 0);
+        let halt = Halt::trip(TripKind::Wire, "no reply");
+        let left = engine.decide(&next, halt, &mut attempts, &mut resumes).await;
+        assert!(matches!(left, Next::Leave));
+        assert_eq!(resumes, u32::from(!waits), "{is_operated} {beginning:?}");
+        let words = if waits { BY_HAND } else { "no reply" };
+        assert_eq!(waiting_for(&engine).as_deref(), Some(words));
     }
 }
 

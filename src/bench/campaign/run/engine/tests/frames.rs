@@ -3,6 +3,7 @@
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Duration;
 
 use async_trait::async_trait;
 use tokio::sync::broadcast;
@@ -64,8 +65,7 @@ impl SkinReader for Late {
 }
 
 /// Measures a placement.
-async fn placed(skin: Late, control: &mut Control, job: &Job) -> Result<(), Halt> {
-    let skin: Arc<dyn SkinReader> = Arc::new(skin);
+async fn placed(skin: Arc<dyn SkinReader>, control: &mut Control, job: &Job) -> Result<(), Halt> {
     let measure = Measure { settle_ms: 0.0, ..Measure::default() };
     let placement = PlannedPlacement { index: 0, contacts: Vec::new() };
     let confirmation = Confirmation::of("ada".into());
@@ -79,8 +79,22 @@ async fn nothing_is_stored_of_weights_under_which_the_computer_was_suspended() {
     begin(&mut engine, &job);
     let suspended_s = Some(suspensions(&mut engine));
     let skin = engine.connection.as_ref().map(|open| open.skin.clone()).expect("open wires");
-    let measured = placed(Late { skin, suspended_s }, &mut engine.control, &job).await;
+    let late = Arc::new(Late { skin, suspended_s });
+    let measured = placed(late, &mut engine.control, &job).await;
     assert!(matches!(measured, Err(Halt::Trip(_))), "{measured:?}");
+}
+
+#[tokio::test]
+async fn nothing_is_stored_of_weights_under_which_the_stream_was_opened_again() {
+    let (job, (axes, mut engine)) = (job(), engine());
+    begin(&mut engine, &job);
+    *axes.skin.takes.lock() = Duration::from_millis(50);
+    let skin: Arc<dyn SkinReader> = axes.skin.clone();
+    let again = async { *axes.skin.since.lock() = Some(jiff::Timestamp::UNIX_EPOCH) };
+    // In this order: the frames are awaited before it is opened again.
+    let (measured, ()) = futures::join!(placed(skin, &mut engine.control, &job), again);
+    let Err(Halt::Failed(words)) = &measured else { panic!("{measured:?}") };
+    assert!(words.contains("opened again"), "{words}");
 }
 
 #[tokio::test]
@@ -107,11 +121,35 @@ async fn nothing_is_stored_of_a_reference_press_under_which_the_computer_was_sus
 }
 
 #[tokio::test]
+async fn the_event_of_a_reference_press_has_the_flags_that_its_trial_would_have() {
+    for settle_n in [f64::INFINITY, -1.0] {
+        let (mut job, (axes, mut engine)) = (job(), engine());
+        let measure = &mut job.plan.measure;
+        (measure.settle_ms, measure.settle_max_ms, measure.settle_n) = (0.0, 0.0, settle_n);
+        begin(&mut engine, &job);
+        let (stage, control) = parts(&mut engine);
+        (stage.tips, stage.surface) = (1, Some(surface()));
+        stage.config.limits.frame_age_ms = 60_000;
+        stage.config.limits.sample_age_ms = Some(60_000);
+        let press = job.plan.steps.iter().find_map(|step| match step {
+            Step::Reference(press) => Some(press),
+            _ => None,
+        });
+        let pressing = Pressing { run: job.run, plan: &job.plan, attempt: 1 };
+        pressing.reference(stage, control, press.expect("a reference")).await.unwrap();
+        engine.control.flush().await.unwrap();
+        let of_kind = axes.journal.events.lock().iter().position(|kind| kind == "reference");
+        let told = axes.journal.told.lock()[of_kind.expect("its event")].to_string();
+        assert_eq!(told.contains("unsettled"), settle_n < 0.0, "{told}");
+    }
+}
+
+#[tokio::test]
 async fn a_pause_of_a_placement_does_not_wait_for_its_frames() {
     let (job, (_, mut engine, handle)) = (job(), with_handle());
     begin(&mut engine, &job);
     let skin = engine.connection.as_ref().map(|open| open.skin.clone()).expect("open wires");
-    let late = Late { skin, suspended_s: None };
+    let late = Arc::new(Late { skin, suspended_s: None });
     let mut status = handle.watch_status();
     let pause = async {
         let is_measured =

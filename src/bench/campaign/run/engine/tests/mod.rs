@@ -90,7 +90,7 @@ fn surface() -> TouchOffRecord {
 /// The run is active.
 fn begin(engine: &mut Engine, job: &Job) {
     engine.control.show(|status| status.run = Some(show::started(job)));
-    engine.control.begin(job.run).unwrap();
+    engine.control.begin(job.run, job.beginning).unwrap();
 }
 
 /// The run is paused after a trip of its wires, and the rig is tripped.

@@ -11,10 +11,11 @@ use super::{abandoned, begin, engine, job, with_handle};
 use crate::campaign::run::job::Job;
 use crate::campaign::run::run_state::{PausedWhy, RunEvent};
 use crate::campaign::shown::command::{Refusal, Request};
-use crate::campaign::shown::status::Wanted;
+use crate::campaign::shown::status::{Done, Wanted};
 use crate::campaign::trial::untouched::Seen;
 use crate::clock::Clock;
 use crate::ids::TrialKey;
+use crate::schedule::plan::Kind;
 
 /// The run waits for its second placement.
 fn await_placement(engine: &mut Engine, job: &Job) {
@@ -80,4 +81,32 @@ async fn the_skin_is_not_tared_once_its_caller_was_told_that_it_failed() {
         assert_eq!(engine.control.inbox.untouched.borrow().is_some(), is_tared);
     }
     assert_eq!(answered.await, Ok(Ok(())));
+}
+
+#[tokio::test]
+async fn a_placement_is_refused_if_the_stream_was_opened_again_after_its_zero() {
+    let (mut job, (axes, mut engine)) = (job(), engine());
+    job.plan.kind = Kind::RealRandom;
+    await_placement(&mut engine, &job);
+    let skin = engine.connection.as_ref().map(|open| open.skin.clone()).expect("open wires");
+    let clock = Clock::new(1.0);
+    let (answer, _tared) = oneshot::channel();
+    let (waited_for, _caller) = oneshot::channel();
+    let done = Done::default();
+    let confirmed = engine.confirmed(&job, "ada", done, &waited_for).await;
+    assert_eq!(confirmed, Ok(()), "without a zero");
+    engine.tare_skin(answer);
+    for _ in 0..2 {
+        engine.saw(Seen::next(&skin, &clock).await);
+    }
+    assert_eq!(engine.confirmed(&job, "ada", done, &waited_for).await, Ok(()));
+    *axes.skin.since.lock() = Some(jiff::Timestamp::UNIX_EPOCH);
+    let refused = engine.confirmed(&job, "ada", done, &waited_for).await;
+    let Err(Refusal::State(words)) = &refused else { panic!("{refused:?}") };
+    assert!(words.contains("the voltage stream was opened again"), "{words}");
+    // The empty skin is seen: the first window follows none of its stream, and the last one is confirmed by none.
+    for _ in 0..3 {
+        engine.saw(Seen::next(&skin, &clock).await);
+    }
+    assert_eq!(engine.confirmed(&job, "ada", done, &waited_for).await, Ok(()));
 }
