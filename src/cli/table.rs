@@ -14,7 +14,7 @@ const GAP: &str = "  ";
 const LAST_COLUMN_MIN: usize = 12;
 /// Narrowest last column in which a text that must be whole continues below itself, characters.
 const WHOLE_TEXT_MIN: usize = 20;
-/// Indentation of such a text on lines of its own, below a row that leaves it less.
+/// Indentation of such a text on the lines below its row, if the row leaves it less.
 const BELOW_ROW: usize = 4;
 
 /// Side to which a column is aligned.

@@ -198,8 +198,8 @@ impl RigConfig {
         c.done()
     }
 
-    /// Checks that each device has an address of its own, since what is sent to one would also move the other, and that
-    /// each serial port is opened once.
+    /// Checks that no two devices have one address, since what is sent to one would also reach the other, and that no
+    /// serial port is named twice.
     fn check_shared(&self, c: &mut Checks<'_>) {
         let axes = &self.axes;
         let devices = [
