@@ -11,8 +11,8 @@ use crate::campaign::shown::rig_action::RigAction;
 use crate::campaign::shown::run_action::ActionOnRun;
 use crate::store::StoreResult;
 
-/// Time before a run of an earlier process did something last within which a person who operated the rig may be at it,
-/// wall.
+/// A person who operated the rig at most this long before a run of an earlier process did something last may still be
+/// at it, wall time.
 const OPERATED_BEFORE_END: SignedDuration = SignedDuration::from_secs(600);
 
 impl Conductor {

@@ -62,7 +62,7 @@ pub struct Control {
     suspended_for: Option<String>,
     leaving: bool,
     estop_noted: bool,
-    /// When a person requested something of the rig last, while it moved, and started or resumed no run since.
+    /// When a person operated the rig last, as it moved or before its run, and started or resumed no run since.
     operated: Option<Instant>,
 }
 

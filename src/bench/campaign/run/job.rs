@@ -21,7 +21,7 @@ pub struct Job {
     pub auto_resume: bool,
     /// Whether the run begins by itself, after it has waited for its turn.
     pub has_waited: bool,
-    /// Whether a person starts it now.
+    /// How the run begins: whether a person starts it now.
     pub beginning: Beginning,
     /// Disk space that one further trial needs, bytes.
     pub bytes_per_trial: u64,
@@ -30,7 +30,7 @@ pub struct Job {
 /// How a run begins.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Beginning {
-    /// A person starts it: what this person did at the rig before is over.
+    /// A person starts it: operations of the rig before that do not count.
     OfPerson,
     /// It begins by itself, after it has waited or since an earlier process drove it.
     Unasked {
@@ -40,8 +40,8 @@ pub enum Beginning {
 }
 
 impl Beginning {
-    /// When a person operated the rig last and may still be at it as the run begins; `before`: while the runs before
-    /// it moved in this process.
+    /// When a person, who may still be at the rig as the run begins, operated it last. `before`: the last operation
+    /// while the runs before it moved in this process.
     pub fn operated(self, before: Option<Instant>) -> Option<Instant> {
         match self {
             Self::OfPerson => None,

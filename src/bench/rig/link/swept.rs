@@ -1,4 +1,4 @@
-//! A port that discards stale bytes before a request is sent, and does not wait until its bytes are.
+//! A port that discards stale bytes before a request is sent, and does not wait until the request is on the line.
 //! Uses: tokio's io traits. Never: waits, frames.
 //!
 //! RTU replies have no number. If a reply came so late that its repetition was answered too, the
@@ -6,7 +6,7 @@
 //! delayed by one. Bytes that have arrived before a request is written are therefore dropped.
 //!
 //! The flush of a serial port blocks its thread until the last byte is on the line: 8 ms for a read at 9600 baud, and
-//! without an end if the adapter hangs. All wires share this thread with the stops, so that nothing is flushed; the
+//! without an end if the adapter hangs. All wires share this thread with the stops: nothing is flushed, and the
 //! deadline of the reply counts from the write.
 
 use std::io;
