@@ -76,7 +76,7 @@ struct VirtualRigArgs {
 /// A virtual operator that a person starts.
 #[derive(Debug, Args)]
 struct VirtualOperatorArgs {
-    /// Sensor file, or the name of a carried one: its points are those of mistakes.
+    /// Sensor file, or the name of a carried one: mistakes are made on its points.
     #[arg(long, value_name = "FILE")]
     sensor: Option<PathBuf>,
     #[command(flatten)]

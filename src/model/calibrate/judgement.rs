@@ -9,7 +9,7 @@ use crate::plain::counted;
 
 /// FVU from which a model explains nothing of a frame.
 const UNEXPLAINED: f64 = 1.0;
-/// At most one held-out trial of this many is an outlier.
+/// At most one held-out trial of this many, rounded up, is an outlier.
 const OUTLIERS_IN: usize = 20;
 /// Number of trials that was enough on every skin of `docs/figures.md`: 1,200 with contacts and 200 untouched ones.
 const ENOUGH_TRIALS: &str = "1,400";
