@@ -13,8 +13,8 @@ from person import (LIMIT_MS, RUN_MS, URL, a_viewer, api, asked, button, confirm
 SENSOR = pathlib.Path(__file__).parents[3] / "experiments/sensors/ert-28.toml"
 WEIGHTS = ("name = 'weights'\nseed = 3\nsensor = 's'\n[real_random]\ncontacts = [2]\ntrials_each = 3\n"
            "weights_n = [9.81]\n[measure]\nframes_per_trial = 10\n")
-# Longest answer of the service to a key.
-KEY_MS = 10_000
+# Longest answer of the service to a key: 8 s for the verdict, and a machine with other work.
+KEY_MS = 20_000
 # Far from each other and from the rim, mm.
 PLACES = [(x, y) for x in (120.0, 270.0, 420.0) for y in (120.0, 280.0, 440.0)]
 
@@ -75,8 +75,9 @@ def wrong_weight(page, _browser):
     # Named before it is stored.
     hands({"cmd": "place", "weights": elsewhere(contacts)})
     verdict, done = page.locator(".verdict").first, button(page, "Done")
-    expect(verdict).to_have_class(re.compile(r"\bbad\b"), timeout=RUN_MS)
-    expect(verdict).to_contain_text(re.compile(r"weight 1\b", re.I))
+    # The verdict on frames with the weights: before, neither was felt.
+    expect(verdict).to_contain_text(re.compile(r"^(?!.*weight 2\b).*weight 1\b", re.I), timeout=RUN_MS)
+    expect(verdict).to_have_class(re.compile(r"\bbad\b"))
     expect(done).to_be_enabled(timeout=LIMIT_MS)
     answer = confirmation(page)
     assert answer.status == 409, answer.status
@@ -126,4 +127,4 @@ def confirmation(page):
         except TimeoutError:
             return None
 
-    return until("an answer to the key", answered)
+    return until("an answer to the key", answered, seconds=240)

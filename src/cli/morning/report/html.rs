@@ -1,6 +1,7 @@
 //! The report as one HTML file: style and figures are in it, no script, nothing from elsewhere.
 //! PURE. Uses: `facts`, `findings`, `plots`. Never: foreign text that is not escaped.
 
+use std::collections::BTreeMap;
 use std::fmt::Write;
 
 use jiff::Timestamp;
@@ -20,7 +21,7 @@ use crate::event::{Importance, shown_kind};
 use crate::state::{PausedWhy, StoredState};
 
 const STYLE: &str = include_str!("report.css");
-/// Rows of a table of what happened or of trials: the report states how many more there are.
+/// Rows of a table of what happened or of skips: the report states how many more there are.
 const TABLE_ROWS: usize = 40;
 const WORST: usize = 10;
 
@@ -132,10 +133,38 @@ fn contacts(page: &mut String, facts: &Facts) {
     let heads: Vec<&str> = ["contacts", "trials"].into_iter().chain(paper.as_deref()).collect();
     let rows = counts.iter().enumerate().map(|(contacts, count)| {
         let mut row = vec![contacts.to_string(), grouped(*count)];
-        row.extend(published.as_ref().map(|(_, all)| format!("{:.1}", all[contacts])));
+        row.extend(published.as_ref().map(|(_, all)| match all[contacts] {
+            few if few < 100.0 => format!("{few:.1}"),
+            many => grouped(many.round() as u64),
+        }));
         row
     });
     table(page, &heads, rows, "numbers");
+}
+
+/// Something that happened: time, kind, words.
+type Row = (Timestamp, String, String);
+
+/// The rows that are shown, about [`TABLE_ROWS`], and the number of those of each kind that are not. A kind with many
+/// rows hides no other: each kind has its first ones, no kind more than any other needs.
+fn shown(all: Vec<Row>) -> (Vec<Row>, BTreeMap<String, usize>) {
+    let mut counts: BTreeMap<String, usize> = BTreeMap::new();
+    for (_, kind, _) in &all {
+        *counts.entry(kind.clone()).or_default() += 1;
+    }
+    let fits =
+        |most: &usize| counts.values().map(|count| count.min(most)).sum::<usize>() <= TABLE_ROWS;
+    let most = (1..=TABLE_ROWS).rev().find(fits).unwrap_or(1);
+    let mut seen: BTreeMap<String, usize> = BTreeMap::new();
+    let rows = all.into_iter().filter(|(_, kind, _)| {
+        let seen = seen.entry(kind.clone()).or_default();
+        *seen += 1;
+        *seen <= most
+    });
+    let rows = rows.collect();
+    counts.retain(|_, count| *count > most);
+    counts.values_mut().for_each(|count| *count -= most);
+    (rows, counts)
 }
 
 fn happened(page: &mut String, facts: &Facts) {
@@ -155,20 +184,22 @@ fn happened(page: &mut String, facts: &Facts) {
     });
     let events = facts.events.iter();
     let events = events.map(|event| (event.at, shown_kind(&event.kind), event.words.clone()));
-    let mut all: Vec<(Timestamp, String, String)> = waits.chain(events).collect();
+    let mut all: Vec<Row> = waits.chain(events).collect();
     all.sort_by_key(|(at, ..)| *at);
     let count = all.len();
     if all.is_empty() {
         page.push_str("<p>No stop, trip, pause, skip or failed attempt.</p>\n");
     } else {
-        let rows = all.into_iter().take(TABLE_ROWS);
-        let rows = rows.map(|(at, kind, words)| vec![second(at), kind, words]);
+        let (rows, more) = shown(all);
+        let rows = rows.into_iter().map(|(at, kind, words)| vec![second(at), kind, words]);
         table(page, &["time", "what", ""], rows, "events");
-        if count > TABLE_ROWS {
+        if !more.is_empty() {
+            let more: Vec<String> =
+                more.iter().map(|(kind, more)| format!("{more} × {kind}")).collect();
             let _ = writeln!(
                 page,
-                "<p>{} more: <code>palpate events {} --important --limit {count}</code></p>",
-                count - TABLE_ROWS,
+                "<p>And {}: <code>palpate events {} --important --limit {count}</code></p>",
+                escaped(&more.join(", ")),
                 facts.run().scan_id
             );
         }

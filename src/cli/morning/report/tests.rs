@@ -219,3 +219,18 @@ fn the_page_is_whole_escapes_foreign_text_and_loads_nothing() {
     let page = html::page(&empty, time(70)).unwrap();
     assert!(page.contains("No force was measured over depth"));
 }
+
+#[test]
+fn what_happened_often_hides_nothing_that_happened_once() {
+    let mut facts = sound();
+    let told = |kind: &str, s: i64, words: String| Told { at: time(s), kind: kind.into(), words };
+    for count in 0..60 {
+        facts.events.push(told("twins", count, format!("twins {count}")));
+    }
+    facts.events.push(told("trip", 70, "arm 2: 81.0 N over 80.0 N".into()));
+    let page = html::page(&facts, time(90)).unwrap();
+    assert!(page.contains("<td>arm 2: 81.0 N over 80.0 N</td>"), "the last one");
+    assert!(page.contains("<td>twins 38</td>") && !page.contains("<td>twins 39</td>"));
+    let more = page.lines().find(|line| line.contains("And 21 × twins")).unwrap();
+    assert!(more.contains("--important --limit 61"), "{more}");
+}
