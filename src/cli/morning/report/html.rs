@@ -194,11 +194,12 @@ fn happened(page: &mut String, facts: &Facts) {
         let rows = rows.into_iter().map(|(at, kind, words)| vec![second(at), kind, words]);
         table(page, &["time", "what", ""], rows, "events");
         if !more.is_empty() {
+            let total: usize = more.values().sum();
             let more: Vec<String> =
                 more.iter().map(|(kind, more)| format!("{more} × {kind}")).collect();
             let _ = writeln!(
                 page,
-                "<p>And {}: <code>palpate events {} --important --limit {count}</code></p>",
+                "<p>{total} more ({}): <code>palpate events {} --important --limit {count}</code></p>",
                 escaped(&more.join(", ")),
                 facts.run().scan_id
             );

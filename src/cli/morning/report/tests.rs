@@ -144,7 +144,7 @@ fn what_happened_is_cut_with_a_command_for_the_rest_and_has_no_pause_of_each_pla
         facts.events.push(Told { at: time(9), kind: "trip".into(), words: "trip".into() });
     }
     let page = html::page(&facts, time(70)).unwrap();
-    let rest = "20 more: <code>palpate events 3 --important --limit 60</code>";
+    let rest = "20 more (20 × trip): <code>palpate events 3 --important --limit 60</code>";
     assert!(page.contains(rest), "{page}");
 }
 
@@ -231,6 +231,5 @@ fn what_happened_often_hides_nothing_that_happened_once() {
     let page = html::page(&facts, time(90)).unwrap();
     assert!(page.contains("<td>arm 2: 81.0 N over 80.0 N</td>"), "the last one");
     assert!(page.contains("<td>twins 38</td>") && !page.contains("<td>twins 39</td>"));
-    let more = page.lines().find(|line| line.contains("And 21 × twins")).unwrap();
-    assert!(more.contains("--important --limit 61"), "{more}");
+    assert!(page.contains("21 more (21 × twins): <code>palpate events 3 --important --limit 61"));
 }
