@@ -9,10 +9,8 @@ import { LOUD } from './words.js'
 const KEPT = 400, SHOWN = 80
 const LONG_MS = 18 * 3_600_000, DATES_MS = 600_000
 const FOLLOWED = -200 // The newest of all, then each as it comes.
-/** Whether an event requests the placement of weights: there is one for each manual trial, and the page shows the present one. */
-const isPlacement = event => event.kind === 'wanted' && Array.isArray(event.data?.wanted?.contacts)
 /** Whether a person must not miss an event. */
-export const matters = event => event.importance !== 'routine' && !isPlacement(event)
+export const matters = event => event.importance !== 'routine'
 /** Kinds of which some events matter, as a parameter of a request. */
 export const kindsThatMatter = () => vocabulary.events.filter(matters).map(({ name }) => name).join()
 
